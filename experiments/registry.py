@@ -13,6 +13,7 @@ EXPERIMENTS = (
     "table_2_4",
     "fig_2_3",
     "robustness",
+    "first_session",
     "smoke",
 )
 """Names of the experiments; each is a module of this package with the attribute `EXPERIMENT`."""

@@ -7,19 +7,19 @@ import asyncio
 import json
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import aclosing
 from pathlib import Path
 from typing import Any
 
 from freerein.cli.connection import channel_to
-from freerein.cli.demo.run import isolated_environ
 from freerein.cli.jobs.display import check_succeeded
 from freerein.cli.jobs.streams import follow_run
-from freerein.cli.services import Stack, choose, free_ports
+from freerein.cli.services import Stack, choose, free_ports, isolated_environ
 from freerein.cli.settings import CliSettings
 from freerein.clients import OrchestratorClient
 from freerein.jobs.child import stop_on_sigterm
+from freerein.jobs.store import id_of
 from freerein.types.orchestrator import StartRunRequest
 
 Step = Mapping[str, Any]
@@ -31,6 +31,7 @@ Trials = Mapping[str, Sequence[Mapping[str, Any]]]
 _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
 _READY_TIMEOUT_S = 300.0
 _POLL_S = 0.2
+_NAME = "arm"
 
 
 def step(name: str, kind: str, **config: Any) -> Step:
@@ -48,8 +49,9 @@ def run_pipeline(
     folder: Path,
     on_progress: Callable[[], None],
     *,
-    name: str = "arm",
+    name: str = _NAME,
     keeps_datasets: bool = False,
+    then: Callable[[Mapping[str, str]], Awaitable[None]] | None = None,
 ) -> Trials | None:
     """Runs a pipeline, or resumes it; returns what its evaluations measured, None when SIGTERM stopped it.
 
@@ -59,26 +61,38 @@ def run_pipeline(
         on_progress: Called now and then.
         name: Tells the pipelines of an arm apart.
         keeps_datasets: Whether another pipeline of the arm needs its datasets.
+        then: Awaited once the pipeline is done, with the addresses of the services, which still run.
 
     Raises:
         FailedPrecondition: A step failed.
     """
     data = folder / "data"
     with stop_on_sigterm() as is_stopped:
-        run_id = asyncio.run(_run_to_its_end({"steps": list(steps)}, name, data, on_progress, is_stopped))
-    if run_id is None:
+        is_done = asyncio.run(_run_to_its_end({"steps": list(steps)}, name, data, on_progress, is_stopped, then=then))
+    if not is_done:
         return None
     if not keeps_datasets:
         shutil.rmtree(data / "datasets", ignore_errors=True)
-    parts = data / "runs" / run_id / "parts"
+    parts = run_folder(folder, name=name) / "parts"
     names = [step["name"] for step in steps if step["kind"] == "evaluate"]
     return {name: _trials(parts / name / "checkpoints" / "trials.jsonl") for name in names}
 
 
+def run_folder(folder: Path, *, name: str = _NAME) -> Path:
+    """Returns the folder of the run of a pipeline in the folder of its arm."""
+    return folder / "data" / "runs" / id_of(name)
+
+
 async def _run_to_its_end(
-    config: dict[str, Any], name: str, data: Path, on_progress: Callable[[], None], is_stopped: Callable[[], bool]
-) -> str | None:
-    """Returns the id of the run; None when it was stopped before its end."""
+    config: dict[str, Any],
+    name: str,
+    data: Path,
+    on_progress: Callable[[], None],
+    is_stopped: Callable[[], bool],
+    *,
+    then: Callable[[Mapping[str, str]], Awaitable[None]] | None,
+) -> bool:
+    """Returns whether the run came to its end: False when it was stopped before."""
     environ, ports = isolated_environ(os.environ), free_ports(_SERVICES)
     async with Stack(choose(_SERVICES), data_dir=data, environ=environ, ports=ports) as stack:
         await stack.ready(timeout_s=_READY_TIMEOUT_S)
@@ -86,24 +100,26 @@ async def _run_to_its_end(
             following = asyncio.create_task(_follow(client, config, name, on_progress))
             while not (following.done() or is_stopped()):
                 await asyncio.wait([following], timeout=_POLL_S)
-            if following.done():
-                return following.result()
-            following.cancel()
-            await asyncio.wait([following])
-            return None
+            if not following.done():
+                following.cancel()
+                await asyncio.wait([following])
+                return False
+            following.result()
+        if then:
+            await then(stack.addresses)
+        return True
 
 
 async def _follow(
     client: OrchestratorClient, config: dict[str, Any], name: str, on_progress: Callable[[], None]
-) -> str:
-    """Starts the run of a name, or finds it, and follows it to its end; returns its id."""
+) -> None:
+    """Starts the run of a name, or finds it, and follows it to its end."""
     run = (await client.start_run(StartRunRequest("pipeline", config, idempotency_key=name))).run
     async with aclosing(follow_run(client, run.id)) as changes:
         async for changed in changes:
             run = changed
             on_progress()
     check_succeeded("pipeline", run)
-    return run.id
 
 
 def _trials(path: Path) -> list[dict[str, Any]]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import PIL.Image
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import app
@@ -48,10 +49,10 @@ def test_the_share_of_timesteps_unlike_the_fit_is_shown_where_there_are_many(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     familiar = answer(Segment(0, 4, "push", 0.9), timesteps=4)
-    timeline.show(at_rate(familiar, fps=10))
+    timeline.show(at_rate(familiar, fps=10), Console())
     assert "unlike" not in capsys.readouterr().out
 
-    timeline.show(at_rate(replace(familiar, in_distribution=np.float32([0.02, 0.5, 0.03, 1.0])), fps=10))
+    timeline.show(at_rate(replace(familiar, in_distribution=np.float32([0.02, 0.5, 0.03, 1.0])), fps=10), Console())
     assert "25% of the timesteps are probably unlike" in capsys.readouterr().out
 
 

@@ -39,7 +39,7 @@ def drawn(figure: Any) -> Any:
 
 @pytest.mark.parametrize(("similarities", "edge"), [([0.9, -0.9, 0.1], GOOD), ([-0.2, 0.9, -0.9], BAD)])
 def test_the_true_sentence_is_marked_and_no_text_crosses_a_bar(similarities: list[float], edge: str) -> None:
-    figure = drawn(rewards_figure([example(similarities), example([0.0, 0.5, 1.0])]))
+    figure = drawn(rewards_figure([example(similarities), example([0.0, 0.5, 1.0])], images="two"))
     texts, bars = figure.axes[3].texts, figure.axes[4].patches
     assert [text.get_text() for text in texts] == [f"\N{CHECK MARK} {TEXTS[0]}", *TEXTS[1:]]
     winner = bars[int(np.argmax(similarities))]

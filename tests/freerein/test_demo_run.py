@@ -1,19 +1,29 @@
-"""The demo's output folder, its services, and how figures are judged."""
+"""The demo's output folder, its services, and its lines at 80 columns."""
 
+import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from rich.console import Console
 
-from freerein.cli.demo.figures import policy_figures
+from freerein.cli.demo.evaluations import Measured, noun_phrases
+from freerein.cli.demo.first_results import draw_similarities
 from freerein.cli.demo.output_folder import MARKER, prepare
-from freerein.cli.demo.pipeline import TASKS, TEXTS, pipeline
-from freerein.cli.demo.report import Figure, Reporter, summary, write
-from freerein.cli.demo.results import Results, noun_phrases
-from freerein.cli.demo.run import isolated_environ, run
+from freerein.cli.demo.pictures import RewardExample
+from freerein.cli.demo.report import LOG_WIDTH, Figure, Reporter, summary, write
+from freerein.cli.demo.run import run
+from freerein.cli.demo.run_progress import RunProgress
+from freerein.cli.services import isolated_environ
 from freerein.cli.services.endpoints import running_endpoints
 from freerein.errors import FailedPrecondition, InvalidInput
-from freerein_orchestrator.__main__ import resolve
+from freerein.types.orchestrator import Run
+
+RUN = Run(id="1" * 32, state="running", config={}, kind="ppo", steps=1000)
+STEPS = Figure.of("timesteps as told, after PPO", Measured(100.0, 82.5, 100.0, 13.1), "steps", "random actions")
+SHARE = Figure.of("timesteps right, learned from tags", Measured(1.0, 1.0, 1.0, 0.31), "%", "longest skill")
 
 
 def test_services_that_run_are_where_the_environment_says_and_else_on_loopback() -> None:
@@ -41,7 +51,7 @@ async def test_the_demo_does_not_empty_what_holds_the_services_data_or_belongs_t
     kept.mkdir(parents=True)
     monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path / "var"))
     with pytest.raises(InvalidInput, match="must not hold the services' data directory"):
-        await run(tmp_path / out, seed=0, reporter=Reporter(as_json=True), running=is_running)
+        await run(tmp_path / out, seed=0, reporter=Reporter(is_quiet=True), running=is_running)
     assert kept.exists()
 
 
@@ -51,7 +61,7 @@ async def test_the_demo_empties_no_folder_that_it_did_not_make(tmp_path: Path, h
     (out / held).parent.mkdir(parents=True)
     (out / held).touch()
     with pytest.raises(FailedPrecondition, match="must be new, empty, or made by a demo") as error:
-        await run(out, seed=0, reporter=Reporter(as_json=True), running=False)
+        await run(out, seed=0, reporter=Reporter(is_quiet=True), running=False)
     assert "--out" in error.value.hint
     assert (out / held).exists()
 
@@ -67,69 +77,66 @@ def test_the_output_of_an_earlier_demo_is_deleted_however_far_it_came(tmp_path: 
     assert [path.name for path in tmp_path.iterdir()] == [MARKER]
 
 
-@pytest.mark.parametrize(
-    ("figure", "bar", "met"),
-    [
-        (Figure("a", 0.6, 0.5, "guess", beats_baseline=True), "above baseline", True),
-        (Figure("a", 0.5, 0.5, "guess", beats_baseline=True), "above baseline", False),
-        (Figure("a", 9, 0, "guess", (-1, 20), beats_baseline=True), "interval above baseline", False),
-        (Figure("a", 9, 0, "guess", (1, 20), beats_baseline=True), "interval above baseline", True),
-        (Figure("a", 0.9, at_least=0.99), ">= 0.99", False),
-        (Figure("a", 580, at_most=600), "<= 600", True),
-        (Figure("a", 0.6, 0.5, "guess"), "", None),
-    ],
-)
-def test_a_bar_is_the_baseline_or_a_number_and_an_interval_must_clear_it(figure: Figure, bar: str, met: bool) -> None:
-    assert (figure.bar, figure.met) == (bar, met)
-
-
 def test_the_summary_is_written_as_json_and_as_a_table(tmp_path: Path) -> None:
-    figures = (Figure("x.y", 0.25, 0.5, "a coin", beats_baseline=True), Figure("s", 3.0))
-    write(tmp_path, figures, summary(figures, seed=4, shipped={"ppo": ["left"]}))
+    write(tmp_path, [STEPS, SHARE], summary([STEPS, SHARE], seed=4, seconds={"ppo": 81.26}))
     found = json.loads((tmp_path / "summary.json").read_text())
-    assert (found["x.y"], found["s"], found["seed"], found["shipped"]) == (0.25, 3.0, 4, {"ppo": ["left"]})
-    assert found["figures"]["x.y"]["met"] is False
+    assert (found["seed"], found["seconds"]) == (4, {"ppo": 81.3})
+    assert found["figures"][SHARE.name]["value"] == 1.0
     rows = (tmp_path / "summary.md").read_text().splitlines()
-    assert rows[2] == "| x.y | 0.25 |  | 0.5 (a coin) | above baseline | not met |"
-
-
-def test_the_figures_of_ppo_and_distillation_are_those_of_the_evaluations() -> None:
-    def measured(value: float, baseline: float | None = None) -> dict[str, float | None]:
-        return {"value": value, "low": value - 1, "high": value + 1, "baseline": baseline}
-
-    told = [
-        {"task": task, "goal_text": text, "return_mean": measured(10 * row + column)}
-        for row, task in enumerate(TASKS.values())
-        for column, text in enumerate(TEXTS.values())
+    assert rows[2:] == [
+        "| timesteps as told, after PPO | 100.0 | 82.5 to 100.0 | random actions 13.1 |",
+        "| timesteps right, learned from tags | 100 % | 100 to 100 | longest skill 31 % |",
     ]
-    sentences = {"own_text_return": measured(6, 5), "word_blind": measured(5), "gain_by_words": measured(0.5, 0)}
-    returns = {"return_mean": measured(9, 7), "baseline_return_mean": measured(7), "expert_return_mean": measured(80)}
-    documents = {
-        "random-left": {"figures": {"return_mean": measured(1)}},
-        "random-right": {"figures": {"return_mean": measured(2)}},
-        "ppo-returns": {"figures": returns},
-        "sentences": {"figures": sentences, "told": told},
-    }
-    results = Results({f"{step}.result.json": json.dumps(each).encode() for step, each in documents.items()})
-    found = {each.name: each for each in policy_figures(results)}
-    assert {name: (each.value, each.baseline, each.met) for name, each in found.items()} == {
-        "ppo.return_first": (7, 1, None),
-        "ppo.return_last": (9, 8, False),
-        "ppo.expert_return": (80, None, True),
-        "distill.left_of.told_left": (0, 1, None),
-        "distill.left_of.told_right": (1, 1, None),
-        "distill.right_of.told_left": (10, 2, None),
-        "distill.right_of.told_right": (11, 2, None),
-        "distill.own_sentence_return": (6, 5, None),
-        "distill.word_blind": (5, None, True),
-        "distill.gain_by_words": (0.5, 0, False),
-    }
-    assert found["ppo.return_last"].interval == (8, 10)
 
 
-def test_the_pipeline_is_one_that_the_orchestrator_takes(tmp_path: Path) -> None:
-    resolved = resolve("pipeline", pipeline(3), tmp_path)
-    assert [step["name"] for step in resolved.config["steps"]] == [step["name"] for step in pipeline(3)["steps"]]
+async def test_a_log_has_whole_lines_of_80_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    reporter = Reporter(is_quiet=False)
+    reporter.figures([STEPS, SHARE])
+    reporter.command("freerein sim demonstrate dial --out demo-dial-0 --count 1 --min-skills 5 --max-skills 5 --truth")
+    async with reporter.following(progress_of_ppo()):
+        pass
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= LOG_WIDTH
+    assert lines[0] == "  timesteps as told, after PPO       100.0 (82.5 to 100.0); random actions 13.1"
+    assert lines[1] == "  timesteps right, learned from tags 100 % (100 to 100); longest skill 31 %"
+    assert lines[2].endswith(" \\")
+    assert lines[4].startswith("  ppo: 40 of 1000, ")
+    assert lines[4].endswith(", return -1.23e+03")
+
+
+def test_a_line_of_progress_says_what_runs_for_how_long_and_how_long_it_still_takes() -> None:
+    waiting = RunProgress("ppo", about_s=90, started_s=100)
+    assert waiting.line(at_s=103) == "ppo: starting, 3 s, about 87 s left"
+    waiting.add(replace(RUN, step=0), at_s=104)
+    assert waiting.line(at_s=200) == "ppo: 0 of 1000, 100 s, slower than on two idle cores"
+    assert progress_of_ppo().line(at_s=44) == "ppo: 40 of 1000, 44 s, about 960 s left, return -1.23e+03"
+
+
+def test_progress_on_a_terminal_fits_into_80_columns() -> None:
+    console = Console(file=io.StringIO(), width=80)
+    console.print(progress_of_ppo().render(at_s=44))
+    first, *curve = console.file.getvalue().splitlines()  # type: ignore[attr-defined]  # a StringIO
+    assert first.split()[0] == "ppo"
+    assert "40 of 1000" in first
+    assert first.rstrip().endswith("about 960 s left")
+    assert len(curve) == 3
+
+
+def progress_of_ppo() -> RunProgress:
+    """Returns the progress of a run with a step per second."""
+    progress = RunProgress("ppo", about_s=90, started_s=0, curve="episode_return", unit="return")
+    for step in range(41):
+        progress.add(replace(RUN, step=step, metrics={"episode_return": -30.75 * step}), at_s=step)
+    return progress
+
+
+def test_each_sentence_has_a_line_and_the_true_one_is_named() -> None:
+    texts = [f"a yellow block {where} a green block" for where in ("to the right of", "below")]
+    image = np.zeros((8, 8, 3), np.uint8)
+    drawn = draw_similarities(RewardExample(image, (), (), (), texts, np.array([-0.5, 0.25], np.float32), truth=1))
+    first, second = drawn.plain.splitlines()
+    assert max(len(first), len(second)) <= LOG_WIDTH
+    assert (first.split()[-2:], second.split()[-1]) == (["-0.50", "█"], "true")
 
 
 def test_the_noun_phrases_of_a_pair_are_what_its_captions_share() -> None:

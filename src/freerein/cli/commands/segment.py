@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 import typer
+from rich.console import Console
 
 from freerein import wire
 from freerein.atomic_files import write_atomic
@@ -104,7 +105,7 @@ def segment(
     if as_json:
         print_json({**wire.to_json(labelled.answer), "flagged": timeline.flagged([labelled.answer.in_distribution])})
     else:
-        timeline.show(labelled)
+        timeline.show(labelled, Console())
 
 
 def _check_no_file(source: str) -> None:

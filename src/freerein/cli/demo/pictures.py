@@ -1,13 +1,12 @@
-"""The demo's pictures, drawn with matplotlib."""
+"""Pictures of what models answered, beside the truth, drawn with matplotlib."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from freerein.cli.demo.report import Measured
 from freerein.cli.figure_style import BAD, FAINT, GOOD, INK, PAPER, QUIET, draw_legend, figure_style, skill_colours
 
 if TYPE_CHECKING:
@@ -18,7 +17,6 @@ Image = npt.NDArray[np.uint8]
 _WIDTH = 14.0  # inches
 _FILM_FRAMES = 9
 _GREATEST_OVERLAY = 0.75
-_SMOOTHING_REACH = 7  # iterations to either side: those in which every environment has ended some episodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +85,7 @@ class RewardExample:
 @figure_style()
 def timeline_figure(trajectory: LabelledTrajectory, *, task: str) -> "Figure":
     """Returns a labelled trajectory: frames, true skills, predicted skills, confidence."""
-    figure = _figure(
+    figure = new_figure(
         5.6,
         f"Skill timeline: the held-out trajectory of median accuracy, {task}",
         f"{trajectory.accuracy:.1%} of {len(trajectory.truth)} timesteps right; "
@@ -114,7 +112,7 @@ def filmstrip_figure(goals: Sequence[FilmstripGoal]) -> "Figure":
     height, width = goals[0].goal.shape[:2]
     side = _WIDTH * (right - left) / (len(goals) + gap * (len(goals) - 1))  # width of an image, inches
     row = side * height / width
-    figure = _figure(
+    figure = new_figure(
         above + 2 * row + gap * side + below,
         "Following goal images never seen",
         "robot of median success: what it saw when it went on to the next goal, and its confidence; "
@@ -139,13 +137,18 @@ def filmstrip_figure(goals: Sequence[FilmstripGoal]) -> "Figure":
 
 
 @figure_style()
-def rewards_figure(examples: Sequence[RewardExample]) -> "Figure":
-    """Returns a row per image: the image, the heatmap of each phrase, the texts, and the similarity of each."""
+def rewards_figure(examples: Sequence[RewardExample], *, images: str) -> "Figure":
+    """Returns a row per image: the image, the heatmap of each phrase, the texts, and the similarity of each.
+
+    Args:
+        examples: The images.
+        images: Says which ones they are.
+    """
     height = 2.5 * len(examples) + 1.1
-    figure = _figure(
+    figure = new_figure(
         height,
         "Where the things are, and which sentence fits best",
-        "first held-out image of each relation, of two blocks and of four; \N{CHECK MARK}: the true sentence; "
+        f"{images}; \N{CHECK MARK}: the true sentence; "
         "green: it wins, red: another does; learned from unlabelled images and noun phrases",
         left=0.02,
         top=1 - 0.95 / height,
@@ -165,26 +168,16 @@ def rewards_figure(examples: Sequence[RewardExample]) -> "Figure":
 
 
 @figure_style()
-def returns_figure(curve: Sequence[tuple[int, float]], bars: Mapping[str, Mapping[str, Measured]]) -> "Figure":
-    """Returns a training's learned return by iteration, and beside it panels of oracle returns by policy."""
-    figure = _figure(
-        5.2,
-        "PPO from random weights, then distillation into a policy that is told in words what to do",
-        "control steps of 100 at the goal by true states, in the same 50 episodes each; lines are 95 % intervals",
-        left=0.05,
-        top=0.78,
-    )
-    widths = [4, *map(len, bars.values())]  # as many as bars, so that their names fit
-    left, *panels = figure.subplots(1, 1 + len(bars), gridspec_kw={"width_ratios": widths, "wspace": 0.14})
-    figure.subplots_adjust(right=0.985, bottom=0.12)
-    _draw_curve(left, curve)
-    top = 1.1 * max(each.high or each.value for group in bars.values() for each in group.values())
-    for panel, (name, group) in zip(panels, bars.items(), strict=True):
-        _draw_bars(panel, group, name=name, top=top)
+def episode_figure(frames: Sequence[Image], *, title: str, subtitle: str) -> "Figure":
+    """Returns some frames of an episode, uint8 (H, W, 3), from its start to its end."""
+    height, width = frames[0].shape[:2]
+    figure = new_figure(_WIDTH / _FILM_FRAMES * height / width + 1.1, title, subtitle, left=0.02, top=0.99)
+    figure.subplots_adjust(right=0.98, bottom=0.02, top=1 - 0.95 / figure.get_figheight())
+    _draw_film(figure.subplots(), np.stack(frames))
     return figure
 
 
-def _figure(height: float, title: str, subtitle: str, *, left: float, top: float) -> "Figure":
+def new_figure(height: float, title: str, subtitle: str, *, left: float, top: float) -> "Figure":
     """Returns a figure with a title and a subtitle above `top`."""
     from matplotlib.figure import Figure
 
@@ -265,23 +258,3 @@ def _draw_similarities(axes: Any, one: RewardExample) -> None:
 def _level(one: RewardExample) -> tuple[float, float]:
     """Returns the vertical limits of texts and bars: the first text is above."""
     return len(one.texts) - 0.5, -0.5
-
-
-def _draw_curve(axes: Any, curve: Sequence[tuple[int, float]]) -> None:
-    """Draws the returns, faint, and their moving average."""
-    iterations, returns = np.array(curve).T
-    near = np.abs(iterations[:, None] - iterations) <= _SMOOTHING_REACH
-    axes.fill_between(iterations, returns, color=QUIET, alpha=0.6, linewidth=0)
-    axes.plot(iterations, near @ returns / near.sum(axis=1), color=INK, linewidth=2.2)
-    axes.set(xlim=(iterations[0], iterations[-1]), ylim=(0, None))
-    axes.set_xlabel("iterations", color=FAINT)
-    axes.set_title("return by the learned reward", fontsize=12)
-
-
-def _draw_bars(axes: Any, bars: Mapping[str, Measured], *, name: str, top: float) -> None:
-    means = np.array([each.value for each in bars.values()])
-    low, high = np.transpose([each.interval or (each.value, each.value) for each in bars.values()])
-    axes.bar(list(bars), means, yerr=(means - low, high - means), color=QUIET, width=0.62, ecolor=INK, capsize=5)
-    axes.set_title(name, fontsize=12)
-    axes.set(ylim=(0, top))
-    axes.tick_params(axis="x", labelsize=9.5, labelcolor=INK)

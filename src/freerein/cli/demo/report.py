@@ -1,113 +1,71 @@
-"""The demo's output: progress on the terminal, and the figures in a table, `summary.json` and `summary.md`."""
+"""The demo's output: headings, figures and progress on the terminal or in a log; `summary.json` and `summary.md`."""
 
+import asyncio
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, asynccontextmanager, nullcontext
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from textwrap import wrap
+from typing import Literal
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.live import Live
+from rich.text import Text
 
-from freerein.cli.jobs.progress import metrics_text
-from freerein.cli.output import print_json
-from freerein.types.orchestrator import Run
+from freerein.cli.demo.evaluations import Measured
+from freerein.cli.demo.run_progress import RunProgress
 
-_NOTE = 60  # characters
-_COLUMNS = ("figure", "value", "95 % interval", "baseline", "bar", "")
+LOG_WIDTH = 80
+_LINE_EVERY_S = 5.0
+_REDRAWS_PER_S = 4
+_NAME_WIDTH = 34
+_COLUMNS = ("figure", "value", "95 % interval", "baseline")
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One measured value beside what it must be compared with.
+    """One measured value beside the trivial answer on the same data.
 
     Attributes:
-        name: Key in `summary.json`, such as `reward.two_blocks.accuracy`.
+        name: What was measured.
         value: The value.
-        baseline: Value of the trivial answer on the same data; None where there is none.
+        unit: `%` for a share from 0 to 1, `steps` for a number of timesteps, empty for another number.
+        interval: Lower and upper end of its 95 % interval; None where there is none.
+        baseline: Value of the trivial answer.
         baseline_text: The trivial answer, in words.
-        interval: Lower and upper end of the value's 95 % interval; None where there is none.
-        at_least: Bar that the value must reach.
-        at_most: Bar that the value must not exceed.
-        beats_baseline: Whether the bar is the baseline: the value, or its interval's lower end, must exceed it.
     """
 
     name: str
     value: float
-    baseline: float | None = None
-    baseline_text: str = ""
-    interval: tuple[float, float] | None = None
-    at_least: float | None = None
-    at_most: float | None = None
-    beats_baseline: bool = False
+    unit: Literal["%", "steps", ""]
+    interval: tuple[float, float] | None
+    baseline: float
+    baseline_text: str
+
+    @classmethod
+    def of(cls, name: str, measured: Measured, unit: Literal["%", "steps", ""], baseline_text: str) -> "Figure":
+        """Returns a figure of an evaluation, which has a baseline."""
+        assert measured.baseline is not None, name  # noqa: S101  # figures that the demo shows have one
+        return cls(name, measured.value, unit, measured.interval, measured.baseline, baseline_text)
 
     @property
-    def met(self) -> bool | None:
-        """Whether the bar is met; None where there is none."""
-        if self.beats_baseline and self.baseline is not None:
-            return (self.interval[0] if self.interval else self.value) > self.baseline
-        if self.at_least is not None:
-            return self.value >= self.at_least
-        return None if self.at_most is None else self.value <= self.at_most
+    def cells(self) -> tuple[str, str, str, str]:
+        """Name, value, interval and baseline as text."""
+        interval = f"{self._number(self.interval[0])} to {self._number(self.interval[1])}" if self.interval else ""
+        unit = " %" if self.unit == "%" else ""
+        baseline = f"{self.baseline_text} {self._number(self.baseline)}{unit}"
+        return self.name, f"{self._number(self.value)}{unit}", interval, baseline
 
     @property
-    def bar(self) -> str:
-        """The bar in words; empty where there is none."""
-        if self.beats_baseline:
-            return "interval above baseline" if self.interval else "above baseline"
-        if self.at_least is not None:
-            return f">= {self.at_least:.3g}"
-        return "" if self.at_most is None else f"<= {self.at_most:.3g}"
+    def line(self) -> str:
+        """The figure on one line of at most 78 characters."""
+        name, value, interval, baseline = self.cells
+        return f"{name:<{_NAME_WIDTH}} {value}{f' ({interval})' if interval else ''}; {baseline}"
 
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """The figure as a row of a table."""
-        interval = f"{self.interval[0]:.3g} to {self.interval[1]:.3g}" if self.interval else ""
-        baseline = "" if self.baseline is None else f"{self.baseline:.3g} ({self.baseline_text})"
-        verdict = {None: "", True: "met", False: "not met"}[self.met]
-        return self.name, f"{self.value:.3g}", interval, baseline, self.bar, verdict
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A figure of an evaluation.
-
-    Attributes:
-        value: The value.
-        low: Lower end of its 95 % interval; None where there is none.
-        high: Upper end, likewise.
-        baseline: Value of the trivial answer; None where there is none.
-    """
-
-    value: float
-    low: float | None
-    high: float | None
-    baseline: float | None
-
-    @property
-    def interval(self) -> tuple[float, float] | None:
-        """Its 95 % interval; None where there is none."""
-        return None if self.low is None or self.high is None else (self.low, self.high)
-
-
-def summary(figures: Sequence[Figure], *, seed: int, shipped: Mapping[str, Sequence[str]]) -> dict[str, object]:
-    """Returns `summary.json`: each value by name, and under `figures` its baseline, interval, bar and verdict.
-
-    `shipped` holds by stage the models that came with freerein.
-    """
-    details = {
-        figure.name: {
-            "value": figure.value,
-            "baseline": figure.baseline,
-            "interval": figure.interval,
-            "bar": figure.bar,
-            "met": figure.met,
-        }
-        for figure in figures
-    }
-    return {**{figure.name: figure.value for figure in figures}, "seed": seed, "shipped": shipped, "figures": details}
+    def _number(self, value: float) -> str:
+        return {"%": f"{100 * value:.0f}", "steps": f"{value:.1f}", "": f"{value:.2f}"}[self.unit]
 
 
 def write(out: Path, figures: Sequence[Figure], document: Mapping[str, object]) -> None:
@@ -117,63 +75,73 @@ def write(out: Path, figures: Sequence[Figure], document: Mapping[str, object]) 
     (out / "summary.md").write_text("".join(f"| {' | '.join(row)} |\n" for row in rows))
 
 
+def summary(figures: Sequence[Figure], *, seed: int, seconds: Mapping[str, float]) -> dict[str, object]:
+    """Returns `summary.json`: the figures by name, and how long each part took."""
+    rounded = {part: round(each, 1) for part, each in seconds.items()}
+    return {"seed": seed, "seconds": rounded, "figures": {each.name: asdict(each) for each in figures}}
+
+
 class Reporter:
-    """Prints progress to the terminal; with `as_json` only the summary."""
+    """Prints to a terminal, or to a log of at most 80 columns; nothing with `is_quiet`."""
 
-    def __init__(self, *, as_json: bool) -> None:
-        self._as_json = as_json
-        self._console = Console(quiet=as_json, highlight=False)
+    def __init__(self, *, is_quiet: bool) -> None:
+        self.is_quiet = is_quiet
+        console = Console(quiet=is_quiet, highlight=False)
+        self.console = console if console.is_terminal else Console(quiet=is_quiet, highlight=False, width=LOG_WIDTH)
 
-    @contextmanager
-    def stage(self, title: str) -> Iterator[None]:
-        """Prints the title of a stage, and at its end the duration."""
-        self._console.print(f"\n[bold cyan]{title}[/]")
-        started_s = time.perf_counter()
-        yield
-        self._console.print(f"  [green]done[/] in {time.perf_counter() - started_s:.1f} s")
+    def heading(self, title: str, *, about_s: float) -> None:
+        """Prints the title of what comes, and how long it takes on two idle cores."""
+        self.console.print(f"\n[bold cyan]{title}[/]  [dim]about {about_s:.0f} s[/]")
 
     def command(self, command: str) -> None:
-        """Prints the command line that does the same."""
-        self._console.print(f"  [dim]$ {command}[/]", soft_wrap=True)
+        """Prints the command line that does the same, continued on further lines where it is long."""
+        lines = wrap(f"$ {command}", self.console.width - 6, break_long_words=False, break_on_hyphens=False)
+        self.console.print(Text("  " + " \\\n      ".join(lines), "dim"), soft_wrap=True)
 
     def line(self, text: str) -> None:
         """Prints a line."""
-        self._console.print(f"  {text}", soft_wrap=True)
+        self.console.print(Text(f"  {text}"))
 
-    @contextmanager
-    def steps(self, names: Sequence[str]) -> Iterator[Callable[[Run], None]]:
-        """Yields a function that shows how far a pipeline with steps of these names has come."""
-        columns = (
-            TextColumn("  {task.description:<16}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("[dim]{task.fields[note]}"),
-        )
-        with Progress(*columns, console=self._console, disable=self._as_json) as bars:
-            bar, current = bars.add_task("", total=len(names), note=""), ""
+    def picture(self, path: Path) -> None:
+        """Prints where a picture is."""
+        self.line(f"picture: {path}")
 
-            def show(run: Run) -> None:
-                nonlocal current
-                step = next((name.partition("/")[0] for name in run.metrics), "")
-                if step in names and step != current:
-                    current = step
-                    self.line(step)
-                done = len(names) if run.state == "succeeded" else names.index(current) if current else 0
-                bars.update(bar, completed=done, description=current or run.state, note=metrics_text(run)[:_NOTE])
+    def show(self, draw: Callable[[Console], None]) -> None:
+        """Lets something be drawn on the console."""
+        draw(self.console)
 
-            yield show
-
-    def summary(self, figures: Sequence[Figure], document: Mapping[str, object]) -> None:
-        """Prints the figures as a table, or the summary as JSON."""
-        if self._as_json:
-            print_json(document)
-            return
-        table = Table(title="\nMeasured", title_justify="left", header_style="bold")
-        for column in _COLUMNS:
-            table.add_column(column, justify="right" if column in ("value", "95 % interval") else "left")
-        styles = {None: "", True: "[green]", False: "[red]"}
+    def figures(self, figures: Sequence[Figure]) -> None:
+        """Prints each figure on a line."""
         for figure in figures:
-            *cells, verdict = figure.cells
-            table.add_row(*cells, styles[figure.met] + verdict)
-        self._console.print(table)
+            self.console.print(Text(f"  {figure.line}", "bold"))
+
+    def waiting(self, text: str) -> AbstractContextManager[object]:
+        """Shows on a terminal that something is done within the block."""
+        return self.console.status(text) if self.console.is_terminal and not self.is_quiet else nullcontext()
+
+    @asynccontextmanager
+    async def following(self, progress: RunProgress) -> AsyncIterator[None]:
+        """Shows the progress of a run within the block."""
+        if self.console.is_terminal:
+            live = Live(
+                console=self.console,
+                refresh_per_second=_REDRAWS_PER_S,
+                get_renderable=lambda: progress.render(at_s=time.monotonic()),
+            )
+            with live:
+                yield
+            return
+        printing = asyncio.create_task(self._print_lines(progress))
+        try:
+            yield
+        finally:
+            printing.cancel()
+            await asyncio.wait([printing])
+        self.line(progress.line(at_s=time.monotonic()))
+        for line in progress.drawn_curve():
+            self.console.print(line)
+
+    async def _print_lines(self, progress: RunProgress) -> None:
+        while True:
+            await asyncio.sleep(_LINE_EVERY_S)
+            self.line(progress.line(at_s=time.monotonic()))

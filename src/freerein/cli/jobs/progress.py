@@ -33,11 +33,12 @@ class JobProgress:
     def add(self, job: Job, *, at_s: float) -> None:
         """Adds a state received at a monotonic time.
 
-        States within a second of the first are history, which says nothing about the pace.
+        States within a second of the first are history, which says nothing about the pace; nor does the first step,
+        before which there are preparations.
         """
         if self._watched_since_s is None:
             self._watched_since_s = at_s
-        if at_s - self._watched_since_s < _HISTORY_S or self._pace_from is None:
+        if at_s - self._watched_since_s < _HISTORY_S or self._pace_from is None or not self._pace_from[1]:
             self._pace_from = at_s, job.step
         elif job.step > self._pace_from[1]:
             self._seconds_per_step = (at_s - self._pace_from[0]) / (job.step - self._pace_from[1])

@@ -43,8 +43,10 @@ def draw(path: Path, timeline: Timeline, film: Sequence[npt.NDArray[np.uint8]]) 
     rows[-1].plot(middle, answer.in_distribution, color=FAINT, linewidth=1.0, label="in-distribution score")
     rows[-1].set(xlim=(float(timeline.time_s[0]), end_s), ylim=(0, 1.05), yticks=[0, 1], xlabel="time (s)")
     rows[-1].legend(loc="lower right", fontsize=8)
-    has_none = bool((answer.labels == NO_SKILL).any())
-    draw_legend(figure, [*answer.skills, *(["none"] * has_none)], [*colours, *([_NONE] * has_none)])
+    shown = dict(zip([*answer.skills, "none"], [*colours, _NONE], strict=True))
+    names = [*answer.skills, "none"]  # by label: NO_SKILL is -1
+    used = [names[label] for label in sorted(set(answer.labels.tolist()), key=lambda label: label == NO_SKILL)]
+    draw_legend(figure, used, [shown[name] for name in used])
     figure.savefig(path)
 
 

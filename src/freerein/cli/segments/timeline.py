@@ -44,9 +44,9 @@ def of_video(answer: SegmentResponse) -> Timeline:
     return Timeline(answer, np.append(time_s, time_s[-1] + last))
 
 
-def show(timeline: Timeline) -> None:
+def show(timeline: Timeline, console: Console) -> None:
     """Prints the segments as a table, and the trajectory as a bar."""
-    answer, console = timeline.answer, Console()
+    answer = timeline.answer
     header = ("", "skill", "from", "to", "seconds", "confidence")
     table = Table(*header, box=None, header_style="bold", pad_edge=False)
     for segment in answer.segments:

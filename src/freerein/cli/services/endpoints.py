@@ -32,6 +32,12 @@ def running_endpoints(names: Iterable[str], environ: Mapping[str, str]) -> Endpo
     return Endpoints(urls, addresses)
 
 
+def isolated_environ(environ: Mapping[str, str]) -> dict[str, str]:
+    """Returns an environment without what would connect services to other people's."""
+    shared = {"FREEREIN_DATABASE_URL", "FREEREIN_EXECUTOR_ID", *(f"FREEREIN_{name.upper()}_ADDRESS" for name in PORTS)}
+    return {name: value for name, value in environ.items() if name not in shared}
+
+
 def installed() -> dict[str, str]:
     """Returns the module of each installed service, for `python -m`."""
     found = {entry.name: entry.module.removesuffix(".__main__") for entry in entry_points(group=GROUP)}

@@ -6,7 +6,7 @@ async with Stack(choose(()), data_dir=Path("var"), environ=os.environ) as stack:
 """
 
 import asyncio
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import aclosing
 from pathlib import Path
 from types import TracebackType
@@ -90,11 +90,17 @@ class Stack:
             yield self.statuses
             await changed.wait()
 
-    async def ready(self, *, timeout_s: float) -> None:
-        """Waits until every service is ready; raises FailedPrecondition or DeadlineExceeded."""
+    async def ready(
+        self, *, timeout_s: float, on_change: Callable[[tuple[ServiceStatus, ...]], None] = lambda _: None
+    ) -> None:
+        """Waits until every service is ready, and calls `on_change` with the statuses, now and after every change.
+
+        Raises FailedPrecondition or DeadlineExceeded.
+        """
         try:
             async with asyncio.timeout(timeout_s), aclosing(self.watch()) as changes:
                 async for statuses in changes:
+                    on_change(statuses)
                     _raise_if_failed(statuses)
                     if all(status.state == "ready" for status in statuses):
                         return
