@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from freerein.fork_server import ChildProcess, ForkServer, Program, spawn
+from freerein.fork_server import ChildProcess, ForkServer, Program, StartChild, spawn
 from freerein.ports import Ports
 
 _START_S = 300.0  # of a machine with much else to do
@@ -159,6 +159,12 @@ def run_badly() -> Callable[..., tuple[int, str]]:
             return code, stderr.read().decode()
 
     return run
+
+
+@pytest.fixture(scope="session")
+def fork_child() -> StartChild:
+    """A function that starts a child process which has imported all services."""
+    return _fork_server().start
 
 
 @pytest.fixture(scope="session")
