@@ -164,7 +164,7 @@ def run_badly() -> Callable[..., tuple[int, str]]:
 @pytest.fixture(scope="session")
 def fork_child() -> StartChild:
     """A function that starts a child process which has imported all services."""
-    return _fork_server().start
+    return lambda program: _fork_server().start(program)
 
 
 @pytest.fixture(scope="session")
