@@ -1,4 +1,4 @@
-"""The wall clock may jump: no source file reads it. Log lines get their time from structlog."""
+"""The wall clock may jump: one source file reads it, for the times of events. Log lines have theirs from structlog."""
 
 import ast
 from pathlib import Path
@@ -20,9 +20,9 @@ WALL_CLOCKS = {
 
 
 @pytest.mark.fault("C23")
-def test_nothing_reads_the_wall_clock() -> None:
+def test_nothing_waits_by_the_wall_clock() -> None:
     found = {f"{path.relative_to(ROOT)}: {name}" for path in SOURCES for name in names(path) & WALL_CLOCKS}
-    assert found == set()
+    assert found == {"src/freerein/jobs/wall_clock.py: time.time_ns"}
 
 
 def names(path: Path) -> set[str]:

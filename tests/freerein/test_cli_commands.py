@@ -127,6 +127,9 @@ def test_a_damaged_dataset_is_reported_and_the_exit_code_says_so(data_dir: Path)
 
 def test_the_list_names_the_datasets(data_dir: Path) -> None:
     assert json.loads(_run("dataset", "list", "--json").stdout) == {"datasets": ["demos"]}
+    header, row = _run("dataset", "list").stdout.splitlines()
+    assert header.split() == ["dataset", "changed"]
+    assert (row.split()[0], row.split()[-1]) == ("demos", "ago")
 
 
 def test_an_error_is_one_sentence_and_a_hint_on_stderr(data_dir: Path) -> None:

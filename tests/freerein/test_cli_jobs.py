@@ -14,6 +14,7 @@ from freerein.cli.jobs.options import configuration
 from freerein.cli.jobs.progress import JobProgress, by_relevance
 from freerein.cli.jobs.streams import reconnecting
 from freerein.cli.jobs.terminal_plot import plot
+from freerein.cli.output import ago
 from freerein.errors import InvalidInput, Unavailable
 from freerein.types.jobs import MetricRow
 from freerein.types.orchestrator import Run
@@ -106,6 +107,25 @@ async def test_a_service_that_stays_away_is_given_up() -> None:
     away = Flaky(*[0.0] * 100)
     with pytest.raises(Unavailable, match="went away"):
         await anext(reconnecting(away.open, timeout_s=TIMEOUT_S))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0, "0 s ago"),
+        (59.9, "59 s ago"),
+        (60, "1 min ago"),
+        (7200, "2 h ago"),
+        (86_400, "1 day ago"),
+        (1e6, "11 days ago"),
+    ],
+)
+def test_a_time_is_said_as_how_long_ago_it_was(seconds: float, text: str) -> None:
+    assert ago(10**18, now_ns=10**18 + int(seconds * 1e9)) == text
+
+
+def test_nothing_is_said_of_a_time_that_is_unknown() -> None:
+    assert not ago(0, now_ns=10**18)
 
 
 def test_a_configuration_file_that_is_not_there_is_refused_by_its_path(tmp_path: Path) -> None:

@@ -23,14 +23,14 @@ REQUEST = {**START, "config": {"seed": 3}, "idempotency_key": "key"}
 
 @pytest.fixture
 def store(tmp_path):
-    return JobStore(tmp_path, noun="run")
+    return JobStore(tmp_path, noun="run", clock_ns=lambda: 7)
 
 
 def test_a_request_is_on_disk_with_its_configuration_when_it_has_an_id(store):
     config = {"kind": "ppo", "config": {"seed": 3, "steps": 10}, "steps": 10}
     run_id = store.create(REQUEST, config)
     assert json.loads((store.folder(run_id) / "config.json").read_bytes()) == store.config(run_id) == config
-    assert store.events(run_id)() == [JobEvent()]
+    assert store.events(run_id)() == [JobEvent(time_ns=7)]
 
 
 def test_a_key_has_one_id_for_one_request_and_no_key_a_new_one_each_time(store):
@@ -46,10 +46,10 @@ def test_a_key_has_one_id_for_one_request_and_no_key_a_new_one_each_time(store):
 def test_each_event_is_read_once_and_watchers_come_back_for_the_rest(store):
     run_id = store.create(REQUEST, {})
     read = store.events(run_id)
-    assert read() == [JobEvent()]
+    assert read() == [JobEvent(time_ns=7)]
     store.record(run_id, "running", step=1, metrics={"loss": 0.5})
     store.record(run_id, "running", step=2)
-    assert read() == [JobEvent("running", step, {"loss": 0.5}) for step in (1, 2)]
+    assert read() == [JobEvent("running", step, {"loss": 0.5}, time_ns=7) for step in (1, 2)]
     assert read() == []
 
 
@@ -106,6 +106,16 @@ def test_a_line_torn_by_a_crash_is_never_read_and_is_cut_off_before_the_next(sto
     store.record(run_id, "running", step=1)
     assert [event.step for event in read()] == [1]
     assert path.read_bytes().count(b"\n") == 2
+
+
+def test_an_event_has_the_time_when_it_happened_and_one_of_an_earlier_version_has_none(tmp_path):
+    times_ns = iter((100, 200))
+    store = JobStore(tmp_path, noun="run", clock_ns=lambda: next(times_ns))
+    run_id = store.create(REQUEST, {})
+    store.record(run_id, "running")
+    assert [event.time_ns for event in store.events(run_id)()] == [100, 200]
+    (store.folder(run_id) / "events.jsonl").write_text('{"state": "queued", "step": 0, "metrics": {}, "error": ""}\n')
+    assert store.last(run_id) == JobEvent(time_ns=0)
 
 
 def test_processes_append_side_by_side_without_losing_an_event(store):

@@ -75,6 +75,15 @@ def show_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     console.print(table)
 
 
+def ago(time_ns: int, *, now_ns: int) -> str:
+    """Returns how long ago a Unix time in nanoseconds was, such as `3 min ago`; empty for 0, an unknown time."""
+    seconds = max(0, now_ns - time_ns) // 10**9
+    sizes = ((86_400, "day"), (3600, "h"), (60, "min"), (1, "s"))
+    size, unit = next((each for each in sizes if seconds >= each[0]), sizes[-1])
+    count = seconds // size
+    return f"{count} {unit}{'s' if unit == 'day' and count > 1 else ''} ago" if time_ns else ""
+
+
 def show_all(
     columns: Sequence[str], rows: Iterable[Sequence[str]], documents: Iterable[Mapping[str, object]], *, as_json: bool
 ) -> None:

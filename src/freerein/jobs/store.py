@@ -33,6 +33,7 @@ from freerein.atomic_files import make_folder, write_atomic
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.jobs.json_lines import LineReader, append, last_document
 from freerein.jobs.metrics import read_metrics
+from freerein.jobs.wall_clock import now_ns
 from freerein.types.common import ModelRef, check_id, check_name
 from freerein.types.jobs import ENDED, JobMetrics, JobState, MetricRow
 from freerein.types.orchestrator import Artifact
@@ -47,12 +48,13 @@ _ROWS, _MAX_ROWS = 1000, 10_000
 
 @dataclass(frozen=True)
 class JobEvent:
-    """A job after a change; `error` is empty unless the job has failed."""
+    """A job after a change; `error` is empty unless the job has failed, `time_ns` 0 where no time was recorded."""
 
     state: JobState = "queued"
     step: int = 0
     metrics: dict[str, float] = field(default_factory=dict)
     error: str = ""
+    time_ns: int = 0
 
     @property
     def ended(self) -> bool:
@@ -61,11 +63,18 @@ class JobEvent:
 
 
 class JobStore:
-    """The jobs of one folder; `noun` is what a job is called in errors: `fit` or `run`."""
+    """The jobs of one folder.
 
-    def __init__(self, root: Path, *, noun: str) -> None:
+    Args:
+        root: The folder.
+        noun: What a job is called in errors: `fit` or `run`.
+        clock_ns: Returns the Unix time in nanoseconds, the time of events.
+    """
+
+    def __init__(self, root: Path, *, noun: str, clock_ns: Callable[[], int] = now_ns) -> None:
         self._root = root
         self.noun = noun
+        self._clock_ns = clock_ns
 
     def folder(self, job_id: str) -> Path:
         """Returns the folder of a job. Raises InvalidInput for a malformed id."""
@@ -84,7 +93,7 @@ class JobStore:
             if self.find(request) is None:
                 try:
                     make_folder(folder)
-                    append(folder / "events.jsonl", lambda last: [] if last else [vars(JobEvent())])
+                    append(folder / "events.jsonl", lambda last: [] if last else [self._now({})])
                     write_atomic(folder / "request.json", json.dumps(request).encode())
                     write_atomic(folder / "config.json", json.dumps(config).encode())
                 except OSError:
@@ -270,12 +279,16 @@ class JobStore:
             for change in changes:
                 after = {**before, "error": "", **change}
                 if after != before and (before["state"] not in ENDED or after["state"] == "queued"):
-                    yield after
-                    before = after
+                    before = self._now(after)
+                    yield before
 
         self.check(job_id)
         with self._deleted_is_not_found():
             append(self.folder(job_id) / "events.jsonl", documents)
+
+    def _now(self, event: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns the document of an event that happens now."""
+        return {**vars(JobEvent()), **event, "time_ns": self._clock_ns()}
 
     def _is_unfinished(self, job_id: str) -> bool:
         try:

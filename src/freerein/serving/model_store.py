@@ -97,7 +97,8 @@ class ModelStore:
                     found.setdefault(ModelRef(folder.name, path.name), path)
         by_name = sorted(found.items(), key=lambda entry: entry[0].name)  # stable: newest first within a name
         return tuple(
-            Model(ref, self.active_version(ref.name) == ref.version, model_card(path)) for ref, path in by_name
+            Model(ref, self.active_version(ref.name) == ref.version, model_card(path), published_ns(path))
+            for ref, path in by_name
         )
 
     def folder(self, ref: ModelRef) -> Path:
@@ -131,6 +132,11 @@ class ModelStore:
             field="model",
             hint="GET /v1/list-models lists them.",
         )
+
+
+def published_ns(folder: Path) -> int:
+    """Returns when a model was published, Unix time in nanoseconds."""
+    return folder.stat().st_mtime_ns
 
 
 def model_card(folder: Path) -> dict[str, Any]:

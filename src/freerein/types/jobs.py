@@ -34,6 +34,7 @@ class Job:
         steps: Steps planned.
         metrics: The latest metrics, such as `train_loss`.
         error: Reason of the failure, or why the next attempt waits; else empty.
+        time_ns: Time of its last event, Unix time in nanoseconds; 0 where none was recorded.
     """
 
     id: str
@@ -43,6 +44,7 @@ class Job:
     steps: int = 0
     metrics: dict[str, float] = field(default_factory=dict)
     error: str = ""
+    time_ns: int = 0
 
     @property
     def ended(self) -> bool:

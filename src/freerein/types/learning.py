@@ -119,11 +119,13 @@ class Model:
         ref: Its name and version.
         active: Whether this version answers requests that name none.
         card: What it was trained on, how, with which figures.
+        time_ns: When it was published, Unix time in nanoseconds.
     """
 
     ref: ModelRef
     active: bool
     card: dict[str, Any]
+    time_ns: int = 0
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from freerein import data
-from freerein.cli.output import AsJson, command, print_json, progress_bar, show_table
+from freerein.cli.output import AsJson, ago, command, print_json, progress_bar, show_table
 from freerein.cli.settings import CliSettings
 from freerein.data import (
     Dataset,
@@ -22,6 +22,7 @@ from freerein.data import (
     import_trajectories,
 )
 from freerein.errors import InvalidInput, NotFound
+from freerein.jobs import wall_clock
 from freerein.types.common import Trajectory
 
 app = typer.Typer(help="Import, inspect, check and annotate datasets.", no_args_is_help=True, add_completion=False)
@@ -37,11 +38,13 @@ _Name = Annotated[str, typer.Argument(help="Name of a dataset in the data direct
 @command
 def list_datasets(as_json: AsJson = False) -> None:
     """List the datasets in the data directory."""
-    names = sorted(path.parent.name for path in (CliSettings().data_dir / "datasets").glob("*/meta"))
+    found = {path.parent.name: path for path in sorted((CliSettings().data_dir / "datasets").glob("*/meta"))}
     if as_json:
-        print_json({"datasets": names})
+        print_json({"datasets": list(found)})
     else:
-        show_table(("dataset",), [(name,) for name in names])
+        now_ns = wall_clock.now_ns()
+        rows = [(name, ago(path.stat().st_mtime_ns, now_ns=now_ns)) for name, path in found.items()]
+        show_table(("dataset", "changed"), rows)
 
 
 @app.command("import")

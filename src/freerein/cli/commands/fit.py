@@ -17,10 +17,11 @@ from freerein.cli.jobs.ids import ID_DIGITS, whole_id
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_fit
-from freerein.cli.output import AsJson, command, print_json, show_all, show_table
+from freerein.cli.output import AsJson, ago, command, print_json, show_all, show_table
 from freerein.clients import FitClient, ModelClient, SegmentationClient
 from freerein.data import ImageSource
 from freerein.errors import InvalidInput
+from freerein.jobs import wall_clock
 from freerein.types.jobs import MetricRow
 from freerein.types.learning import (
     CancelFitRequest,
@@ -281,11 +282,13 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
 def _show(fits: Sequence[tuple[str, Fit]], *, as_json: bool) -> None:
     """Prints fits and their services."""
     documents = ({"service": service, **wire.to_json(fit)} for service, fit in fits)
+    now_ns = wall_clock.now_ns()
     rows = (
         (
             fit.id,
             service,
             fit.state,
+            ago(fit.time_ns, now_ns=now_ns),
             fit.dataset,
             f"{fit.model.name} {fit.model.version}" if fit.model else fit.model_name,
             steps_text(fit),
@@ -293,5 +296,5 @@ def _show(fits: Sequence[tuple[str, Fit]], *, as_json: bool) -> None:
         )
         for service, fit in fits
     )
-    columns = ("fit", "service", "state", "dataset", "model", "steps", "metrics")
+    columns = ("fit", "service", "state", "changed", "dataset", "model", "steps", "metrics")
     show_all(columns, rows, documents, as_json=as_json)

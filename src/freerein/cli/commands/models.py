@@ -7,8 +7,9 @@ import typer
 
 from freerein import wire
 from freerein.cli.connection import call, call_each, check_only_unavailable
-from freerein.cli.output import AsJson, command, show_all
+from freerein.cli.output import AsJson, ago, command, show_all
 from freerein.clients import ImitationClient, ModelClient
+from freerein.jobs import wall_clock
 from freerein.types.imitation import PublishPolicyRequest
 from freerein.types.learning import ActivateModelRequest, ListModelsRequest, Model
 
@@ -66,11 +67,19 @@ def publish(
 
 def _show(models: Sequence[tuple[str, Model]], *, as_json: bool) -> None:
     documents = ({"service": service, **wire.to_json(model)} for service, model in models)
+    now_ns = wall_clock.now_ns()
     rows = (
-        (service, model.ref.name, model.ref.version, "active" if model.active else "", _dataset(model.card))
+        (
+            service,
+            model.ref.name,
+            model.ref.version,
+            "active" if model.active else "",
+            ago(model.time_ns, now_ns=now_ns),
+            _dataset(model.card),
+        )
         for service, model in models
     )
-    show_all(("service", "model", "version", "", "dataset"), rows, documents, as_json=as_json)
+    show_all(("service", "model", "version", "", "made", "dataset"), rows, documents, as_json=as_json)
 
 
 def _dataset(card: Mapping[str, Any]) -> str:

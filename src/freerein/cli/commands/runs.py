@@ -17,8 +17,9 @@ from freerein.cli.jobs.ids import ID_DIGITS, whole_id
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_run
-from freerein.cli.output import AsJson, command, print_json, show_all
+from freerein.cli.output import AsJson, ago, command, print_json, show_all
 from freerein.clients import OrchestratorClient
+from freerein.jobs import wall_clock
 from freerein.types.jobs import MetricRow
 from freerein.types.orchestrator import (
     CancelRunRequest,
@@ -194,18 +195,22 @@ def _ask(use: Callable[[OrchestratorClient], Awaitable[T]]) -> T:
 
 
 def _show(runs: Sequence[Run], *, as_json: bool) -> None:
+    now_ns = wall_clock.now_ns()
     rows = (
         (
             run.id,
             run.kind,
             run.state,
+            ago(run.time_ns, now_ns=now_ns),
             steps_text(run),
             f"{run.model.name} {run.model.version}" if run.model else "",
             run.error or metrics_text(run),
         )
         for run in runs
     )
-    show_all(("run", "kind", "state", "steps", "model", "metrics"), rows, map(wire.to_json, runs), as_json=as_json)
+    show_all(
+        ("run", "kind", "state", "changed", "steps", "model", "metrics"), rows, map(wire.to_json, runs), as_json=as_json
+    )
 
 
 def _list_artifacts(run_id: str, *, as_json: bool) -> None:

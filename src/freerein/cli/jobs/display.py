@@ -4,6 +4,7 @@ import asyncio
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Sequence
 from contextlib import aclosing, contextmanager, suppress
+from datetime import datetime
 from typing import TypeVar
 
 import typer
@@ -96,7 +97,7 @@ def _display(
     if as_json:
         yield lambda job: print_json(wire.to_json(job))
     elif not console.is_terminal:
-        yield lambda job: typer.echo(f"{name} {job.state} {steps_text(job)} {job.error or metrics_text(job)}".rstrip())
+        yield lambda job: typer.echo(_line(name, job))
     else:
 
         def redraw(_job: Job) -> None:
@@ -110,6 +111,11 @@ def _display(
 
         with Live(console=console, auto_refresh=False, get_renderable=render) as live:
             yield redraw
+
+
+def _line(name: str, job: Job) -> str:
+    at = datetime.fromtimestamp(job.time_ns / 1e9).astimezone().isoformat(timespec="seconds") if job.time_ns else ""
+    return f"{at} {name} {job.state} {steps_text(job)} {job.error or metrics_text(job)}".strip()
 
 
 def draw(name: str, progress: JobProgress, metrics: Sequence[str] | None = None, *, width: int) -> RenderableType:

@@ -57,6 +57,7 @@ class Fit(_message.Message):
     METRICS_FIELD_NUMBER: _builtins.int
     MODEL_FIELD_NUMBER: _builtins.int
     ERROR_FIELD_NUMBER: _builtins.int
+    TIME_NS_FIELD_NUMBER: _builtins.int
     id: _builtins.str
     """32 hexadecimal digits."""
     state: _jobs_pb2.JobState.ValueType
@@ -71,6 +72,8 @@ class Fit(_message.Message):
     """Updates planned."""
     error: _builtins.str
     """Reason of the failure, or why the next attempt waits; else empty."""
+    time_ns: _builtins.int
+    """Time of its last event, Unix time in nanoseconds; 0 where none was recorded."""
     @_builtins.property
     def config(self) -> _struct_pb2.Struct:
         """Resolved configuration, with defaults filled in."""
@@ -96,10 +99,11 @@ class Fit(_message.Message):
         metrics: _abc.Mapping[_builtins.str, _builtins.float] | None = ...,
         model: _common_pb2.ModelRef | None = ...,
         error: _builtins.str = ...,
+        time_ns: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["config", b"config", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["config", b"config", "dataset", b"dataset", "error", b"error", "id", b"id", "metrics", b"metrics", "model", b"model", "model_name", b"model_name", "state", b"state", "step", b"step", "steps", b"steps"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["config", b"config", "dataset", b"dataset", "error", b"error", "id", b"id", "metrics", b"metrics", "model", b"model", "model_name", b"model_name", "state", b"state", "step", b"step", "steps", b"steps", "time_ns", b"time_ns"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -482,8 +486,11 @@ class Model(_message.Message):
     REF_FIELD_NUMBER: _builtins.int
     ACTIVE_FIELD_NUMBER: _builtins.int
     CARD_FIELD_NUMBER: _builtins.int
+    TIME_NS_FIELD_NUMBER: _builtins.int
     active: _builtins.bool
     """Whether this version answers requests that name none."""
+    time_ns: _builtins.int
+    """When it was published, Unix time in nanoseconds."""
     @_builtins.property
     def ref(self) -> _common_pb2.ModelRef:
         """Its name and version."""
@@ -498,10 +505,11 @@ class Model(_message.Message):
         ref: _common_pb2.ModelRef | None = ...,
         active: _builtins.bool = ...,
         card: _struct_pb2.Struct | None = ...,
+        time_ns: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["card", b"card", "ref", b"ref"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["active", b"active", "card", b"card", "ref", b"ref"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["active", b"active", "card", b"card", "ref", b"ref", "time_ns", b"time_ns"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 

@@ -104,6 +104,7 @@ class Run(_message.Message):
     METRICS_FIELD_NUMBER: _builtins.int
     MODEL_FIELD_NUMBER: _builtins.int
     ERROR_FIELD_NUMBER: _builtins.int
+    TIME_NS_FIELD_NUMBER: _builtins.int
     id: _builtins.str
     """32 hexadecimal digits."""
     kind: Global___Run.Kind.ValueType
@@ -116,6 +117,8 @@ class Run(_message.Message):
     """Steps planned."""
     error: _builtins.str
     """Reason of the failure, or why the next attempt waits; else empty."""
+    time_ns: _builtins.int
+    """Time of its last event, Unix time in nanoseconds; 0 where none was recorded."""
     @_builtins.property
     def config(self) -> _struct_pb2.Struct:
         """Resolved configuration, with defaults filled in."""
@@ -140,10 +143,11 @@ class Run(_message.Message):
         metrics: _abc.Mapping[_builtins.str, _builtins.float] | None = ...,
         model: _common_pb2.ModelRef | None = ...,
         error: _builtins.str = ...,
+        time_ns: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["config", b"config", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["config", b"config", "error", b"error", "id", b"id", "kind", b"kind", "metrics", b"metrics", "model", b"model", "state", b"state", "step", b"step", "steps", b"steps"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["config", b"config", "error", b"error", "id", b"id", "kind", b"kind", "metrics", b"metrics", "model", b"model", "state", b"state", "step", b"step", "steps", b"steps", "time_ns", b"time_ns"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
