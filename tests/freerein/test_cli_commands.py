@@ -206,10 +206,17 @@ def test_the_doctor_says_that_a_host_is_no_address_of_this_machine(monkeypatch: 
 
 
 def test_the_doctor_finds_the_wheels_that_are_data() -> None:
-    checks = (machine.check_meshes, machine.check_pendulum, machine.check_robots, machine.check_text_encoder)
+    checks = (
+        machine.check_meshes,
+        machine.check_pendulum,
+        machine.check_arm,
+        machine.check_robots,
+        machine.check_text_encoder,
+    )
     assert [(each().name, each().state) for each in checks] == [
         ("robot meshes", "ok"),
         ("pendulum model", "ok"),
+        ("robot arm", "ok"),
         ("robots", "ok"),
         ("text encoder", "ok"),
     ]

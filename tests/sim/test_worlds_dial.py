@@ -41,7 +41,7 @@ def test_a_missing_wheel_is_named_with_the_command_that_installs_it(monkeypatch:
 
     with pytest.raises(FailedPrecondition, match="dm-control") as error:
         TASK.make()
-    assert error.value.hint == "pip install --no-deps -r assets-robots.txt"
+    assert error.value.hint == "pip install --no-deps -r assets.txt"
 
 
 def test_the_targets_of_every_key_are_over_it_and_below_its_top() -> None:

@@ -44,7 +44,8 @@ def _check_all(chosen: Sequence[str]) -> list[CheckResult]:
     data_dir = CliSettings().data_dir
     checks: list[Callable[[], CheckResult | list[CheckResult]]] = [machine.check_python]
     if "sim" in names:
-        checks += [machine.check_rendering, machine.check_meshes, machine.check_pendulum, machine.check_robots]
+        checks += [machine.check_rendering, machine.check_meshes, machine.check_pendulum]
+        checks += [machine.check_arm, machine.check_robots]
     if "imitation" in names:
         checks.append(machine.check_text_encoder)
     if "segmentation" in names:

@@ -86,13 +86,17 @@ def check_pendulum() -> CheckResult:
     return _wheel("pendulum model", "gymnasium", "envs/mujoco/assets")
 
 
+def check_arm() -> CheckResult:
+    """Checks the wheel with the arm of the world `dial`."""
+    return _wheel("robot arm", "dm_control", "third_party/kinova")
+
+
 def check_robots() -> CheckResult:
-    """Checks the wheels with the robots of the worlds `dial` and `bins`, without which the other worlds run."""
-    found = [_wheel("robots", "dm_control", "third_party/kinova"), _wheel("robots", "robosuite", "models/assets")]
-    missing = [each.detail for each in found if each.state != "ok"]
-    if not missing:
-        return CheckResult("robots", "ok", ", ".join(each.detail for each in found))
-    return CheckResult("robots", "warning", ", ".join(missing), "pip install --no-deps -r assets-robots.txt")
+    """Checks the wheel with the robot of the world `bins`, without which the other worlds run."""
+    found = _wheel("robots", "robosuite", "models/assets")
+    if found.state == "ok":
+        return found
+    return CheckResult("robots", "warning", found.detail, "pip install --no-deps -r assets-robots.txt")
 
 
 def check_text_encoder() -> CheckResult:

@@ -54,7 +54,7 @@ def build(*, light: float = 1.0) -> Scene:
     _add_room(spec.worldbody)
     for digit in keypad.DIGITS:
         _add_key(spec, digit)
-    _add_arm(spec, asset_folder("dm_control", listed_in="assets-robots.txt") / "third_party" / "kinova")
+    _add_arm(spec, asset_folder("dm_control") / "third_party" / "kinova")
     return compile_scene(spec, light=light)
 
 
