@@ -124,9 +124,33 @@ async def obey_a_sentence(demo: Demo) -> Sequence[Figure]:
 
 
 FIRST_RESULTS = (
-    Part("demonstration", "Which key does a Jaco arm press when?", 4, label_a_demonstration),
-    Part("sentences", "Which of five sentences is true of an image?", 6, judge_images),
-    Part("goal-images", "Follow goal images", 8, follow_goal_images),
-    Part("sentence", "Put the yellow block to the right of the green one", 9, obey_a_sentence),
+    Part(
+        "demonstration",
+        "Which key does a Jaco arm press when?",
+        "The model learned from which keys occur in demonstrations, never when.",
+        4,
+        label_a_demonstration,
+    ),
+    Part(
+        "sentences",
+        "Which of five sentences is true of an image?",
+        "The model learned from unlabelled images and the names of blocks.",
+        6,
+        judge_images,
+    ),
+    Part(
+        "goal-images",
+        "Follow goal images",
+        "The model learned from random actions, and says itself when it is there.",
+        8,
+        follow_goal_images,
+    ),
+    Part(
+        "sentence",
+        "Put the yellow block to the right of the green one",
+        "The policy learned from a reward that a model reads from its images.",
+        9,
+        obey_a_sentence,
+    ),
 )
 """What the models that come with freerein can do."""

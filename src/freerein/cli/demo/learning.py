@@ -47,7 +47,7 @@ async def learn_skills_from_tags(demo: Demo) -> Sequence[Figure]:
 async def learn_from_a_sentence(demo: Demo) -> Sequence[Figure]:
     """A policy is trained by PPO on the reward that a model reads from images and the sentence."""
     seeded = {**_PPO, "seed": demo.seed}
-    demo.reporter.line("It first moves at random, to find its gripper in images; then PPO begins.")
+    demo.reporter.line("It first moves at random, to find its gripper in images; then it learns.")
     untrained = await demo.run("6-untrained", "ppo", {**seeded, **_UNTRAINED}, about_s=8)
     trained = await demo.run(
         "6-ppo", "ppo", {**seeded, "iterations": _ITERATIONS}, about_s=85, curve="episode_return", unit="return"
@@ -119,7 +119,19 @@ async def _episode(clients: Clients, model: ModelRef, *, seed: int) -> list[npt.
 
 
 LEARNED = (
-    Part("tags", "Learn skills from nothing but which ones occur", 40, learn_skills_from_tags),
-    Part("ppo", "Learn a policy from nothing but a sentence", 120, learn_from_a_sentence),
+    Part(
+        "tags",
+        "Learn which skill is executed when",
+        "1 000 demonstrations say which skills occur in them, never when.",
+        40,
+        learn_skills_from_tags,
+    ),
+    Part(
+        "ppo",
+        "Learn to put the yellow block to the left of the green one",
+        "Random weights behind the image encoder of the reward model, and a sentence.",
+        120,
+        learn_from_a_sentence,
+    ),
 )
 """What is learned."""

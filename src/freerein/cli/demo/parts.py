@@ -104,12 +104,14 @@ class Part:
     Attributes:
         name: Its key in `summary.json`.
         title: What it shows.
+        learned_from: What its model learns, or learned, from; a sentence.
         about_s: How long it takes on two idle cores.
         show: Shows it; returns what was measured.
     """
 
     name: str
     title: str
+    learned_from: str
     about_s: float
     show: Callable[[Demo], Awaitable[Sequence[Figure]]]
 

@@ -89,9 +89,10 @@ class Reporter:
         console = Console(quiet=is_quiet, highlight=False)
         self.console = console if console.is_terminal else Console(quiet=is_quiet, highlight=False, width=LOG_WIDTH)
 
-    def heading(self, title: str, *, about_s: float) -> None:
-        """Prints the title of what comes, and how long it takes on two idle cores."""
+    def heading(self, title: str, text: str, *, about_s: float) -> None:
+        """Prints the title of what comes, how long it takes on two idle cores, and a sentence."""
         self.console.print(f"\n[bold cyan]{title}[/]  [dim]about {about_s:.0f} s[/]")
+        self.line(text)
 
     def command(self, command: str) -> None:
         """Prints the command line that does the same, continued on further lines where it is long."""

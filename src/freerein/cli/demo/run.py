@@ -47,25 +47,31 @@ async def run(out: Path, *, seed: int, reporter: Reporter, running: bool) -> Non
     reporter.line(
         f"{len(_PARTS)} results in about {about_s / 60:.0f} minutes on two idle cores. Ctrl-C stops {stopped}."
     )
-    figures: list[Figure] = []
-    seconds: dict[str, float] = {}
     stack = nullcontext(running_endpoints(_SERVICES, os.environ)) if running else _start(data_dir, reporter)
     async with stack as endpoints, _connected(endpoints, settings) as clients:
-        seconds["services"] = time.monotonic() - started_s
-        demo = Demo(out, data_dir, seed, clients, reporter)
-        for number, part in enumerate(_PARTS, 1):
-            began_s = time.monotonic()
-            reporter.heading(f"{number} of {len(_PARTS)}  {part.title}", about_s=part.about_s)
-            measured = await part.show(demo)
-            reporter.figures(measured)
-            figures += measured
-            seconds[part.name] = time.monotonic() - began_s
-    seconds["total"] = time.monotonic() - started_s
-    summary = report.summary(figures, seed=seed, seconds=seconds)
+        ready_s = time.monotonic() - started_s
+        figures, seconds = await _show_parts(Demo(out, data_dir, seed, clients, reporter))
+    total_s = time.monotonic() - started_s
+    summary = report.summary(figures, seed=seed, seconds={"services": ready_s, **seconds, "total": total_s})
     report.write(out, figures, summary)
     if reporter.is_quiet:
         print_json(summary)
-    _say_what_is_where(reporter, out, data_dir, total_s=seconds["total"], running=running)
+    _say_what_is_where(reporter, out, data_dir, total_s=total_s, running=running)
+
+
+async def _show_parts(demo: Demo) -> tuple[list[Figure], dict[str, float]]:
+    """Returns all figures, and how long each part took."""
+    figures: list[Figure] = []
+    seconds: dict[str, float] = {}
+    for number, part in enumerate(_PARTS, 1):
+        began_s = time.monotonic()
+        title = f"{number} of {len(_PARTS)}  {part.title}"
+        demo.reporter.heading(title, part.learned_from, about_s=part.about_s)
+        measured = await part.show(demo)
+        demo.reporter.figures(measured)
+        figures += measured
+        seconds[part.name] = time.monotonic() - began_s
+    return figures, seconds
 
 
 def _say_what_is_where(reporter: Reporter, out: Path, data_dir: Path, *, total_s: float, running: bool) -> None:
@@ -112,7 +118,7 @@ async def _start(data_dir: Path, reporter: Reporter) -> AsyncGenerator[Endpoints
                 reporter.line(f"{status.service:<13} ready after {after_s:.1f} s   {status.rest_url}/docs")
 
     async with Stack(choose(_SERVICES), data_dir=data_dir, environ=environ, ports=_ports()) as stack:
-        reporter.heading("Five services start", about_s=_READY_ABOUT_S)
+        reporter.heading("Five services start", "Each has a REST API and a gRPC server.", about_s=_READY_ABOUT_S)
         reporter.command("freerein up")
         with reporter.waiting("starting"):
             await stack.ready(timeout_s=_READY_TIMEOUT_S, on_change=show_ready)
