@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from subprocess import PIPE
 from typing import Any
@@ -92,9 +93,12 @@ def test_a_run_is_watched_line_by_line_to_its_end() -> None:
     lines = _run(*FEW, "--watch").stdout.splitlines()
     run_id = lines[-1].split()[0]
 
-    assert lines[0] == f"run {run_id[:8]} queued 0/3"
-    assert lines[-3].startswith(f"run {run_id[:8]} succeeded 3/3 timesteps=")
-    assert lines[-1].split()[1:4] == ["collect", "succeeded", "3/3"]
+    queued_at, ended_at = (datetime.fromisoformat(lines[place].split()[0]) for place in (0, -3))
+    assert queued_at <= ended_at
+    assert lines[0].endswith(f" run {run_id[:8]} queued 0/3")
+    assert f" run {run_id[:8]} succeeded 3/3 timesteps=" in lines[-3]
+    _, kind, state, *since, steps, _ = lines[-1].split()
+    assert (kind, state, since[-1], steps) == ("collect", "succeeded", "ago", "3/3")
 
 
 def test_watching_it_again_tells_the_same_story() -> None:
