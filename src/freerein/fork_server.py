@@ -23,6 +23,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NoReturn, Protocol, TypeAlias
 
 _NUMBER = struct.Struct("i")
@@ -160,6 +161,7 @@ def serve(requests: socket.socket) -> NoReturn:
     Raises:
         SystemExit: In a child process, when its module ends.
     """
+    _name_process("fork server")
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # such as Ctrl-C, which is for the service
     signal.signal(signal.SIGCHLD, _reap)
@@ -170,6 +172,11 @@ def serve(requests: socket.socket) -> NoReturn:
         for fd in fds:
             os.close(fd)
     os._exit(0)
+
+
+def _name_process(name: str) -> None:
+    """Sets what `ps` and `top` call this process, up to 15 characters; it was forked with the name of its parent."""
+    Path("/proc/self/comm").write_text(name)
 
 
 def _reap(*_: object) -> None:
@@ -206,6 +213,7 @@ def _run(request: int, stdin: int, stdout: int, stderr: int, *_keep: int) -> NoR
     with os.fdopen(request, "rb") as file:
         file.seek(0)
         module, arguments, environ = json.load(file)
+    _name_process(module.removeprefix("freerein_"))
     os.environ.clear()
     os.environ.update(environ)
     sys.argv = [module, *arguments]

@@ -93,8 +93,8 @@ class Running:
     def pids(self, victim: str) -> list[int]:
         pids = {status.service: status.pid for status in self.stack.statuses}
         if victim == "child":
-            children = psutil.Process(pids["orchestrator"]).children()
-            return [child.pid for child in children if "freerein_orchestrator.runs" in child.cmdline()]
+            descendants = psutil.Process(pids["orchestrator"]).children(recursive=True)
+            return [each.pid for each in descendants if each.name() == "orchestrator.runs"[:15]]
         return list(pids.values()) if victim == "all" else [pids[victim]]
 
     def kill(self, victim: str) -> None:

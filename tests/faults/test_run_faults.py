@@ -6,16 +6,17 @@ import json
 import os
 import resource
 import shutil
-import subprocess
-import sys
+import signal
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 
+from freerein.fork_server import ChildProcess, Program, StartChild
 from freerein.jobs.child import PERMANENT_FAILURE
 from freerein_orchestrator.kinds import KINDS
 
@@ -44,12 +45,14 @@ class Run:
     Args:
         folder: Of the run.
         environ: Says where services are.
+        fork: Starts the process.
         config: What differs from `TINY`.
     """
 
-    def __init__(self, folder: Path, environ: dict[str, str], **config: Any) -> None:
+    def __init__(self, folder: Path, environ: dict[str, str], fork: StartChild, **config: Any) -> None:
         self.folder = folder
         self._environ = environ
+        self._fork = fork
         self.configure(**config)
 
     def configure(self, **config: Any) -> None:
@@ -58,21 +61,19 @@ class Run:
         job = {"kind": "ppo", "config": kind.dump(kind.parse({**TINY, **config})), "steps": 4}
         (self.folder / "config.json").write_text(json.dumps(job))
 
-    def start(self) -> psutil.Popen:
-        module = [sys.executable, "-m", "freerein_orchestrator.runs"]
-        with (self.folder / "log.txt").open("ab") as log:
-            return psutil.Popen(
-                [*module, str(self.folder), str(self.folder.parents[1]), "cpu"],
-                stdin=subprocess.PIPE,
-                stdout=log,
-                stderr=log,
-                env=self._environ,
-            )
+    @contextmanager
+    def start(self) -> Iterator[ChildProcess]:
+        """Yields the process, which ends with the block."""
+        stdin, held = (os.fdopen(fd, mode) for fd, mode in zip(os.pipe(), ("rb", "wb"), strict=True))
+        with stdin, held, (self.folder / "log.txt").open("ab") as log:
+            arguments = str(self.folder), str(self.folder.parents[1]), "cpu"
+            files = stdin.fileno(), log.fileno(), log.fileno()
+            yield self._fork(Program("freerein_orchestrator.runs", arguments, self._environ, *files))
 
     def finish(self) -> int:
         """Returns the exit code of a process that works until it ends."""
         with self.start() as process:
-            return int(process.wait(PATIENCE_S))
+            return process.wait(PATIENCE_S)
 
     def until(self, checkpoints: int) -> None:
         begun = time.monotonic()
@@ -84,7 +85,8 @@ class Run:
         """Works until there are so many checkpoints, of which the last three are kept, and no further."""
         with self.start() as process:
             self.until(checkpoints)
-            process.kill()
+            process.send_signal(signal.SIGKILL)
+            process.wait()
 
     @property
     def checkpoints(self) -> list[Path]:
@@ -125,22 +127,27 @@ def lies(reward: Any) -> Iterator[Callable[[str], None]]:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory, environ: dict[str, str]) -> Run:
+def whole(tmp_path_factory: pytest.TempPathFactory, environ: dict[str, str], fork_child: StartChild) -> Run:
     """A run that nobody disturbed."""
-    run = Run(tmp_path_factory.mktemp("whole") / "runs" / "whole", environ)
+    run = Run(tmp_path_factory.mktemp("whole") / "runs" / "whole", environ, fork_child)
     assert run.finish() == 0, run.log
     return run
 
 
 @pytest.fixture
-def run(tmp_path: Path, environ: dict[str, str]) -> Run:
-    return Run(tmp_path / "runs" / "run", environ)
+def run(tmp_path: Path, environ: dict[str, str], fork_child: StartChild) -> Run:
+    return Run(tmp_path / "runs" / "run", environ, fork_child)
 
 
 @pytest.fixture(scope="module")
-def killed(tmp_path_factory: pytest.TempPathFactory, environ: dict[str, str], reward: Any) -> Run:
+def killed(
+    tmp_path_factory: pytest.TempPathFactory, environ: dict[str, str], reward: Any, fork_child: StartChild
+) -> Run:
     """A run that was killed when it had three checkpoints."""
-    run, told = Run(tmp_path_factory.mktemp("killed") / "runs" / "killed", environ), reward.data_dir / "lies"
+    run, told = (
+        Run(tmp_path_factory.mktemp("killed") / "runs" / "killed", environ, fork_child),
+        reward.data_dir / "lies",
+    )
     told.write_text("slow 1000000")
     run.killed_after(3)
     told.write_text("")
@@ -157,7 +164,7 @@ def begun(run: Run, killed: Run) -> Run:
 
 @pytest.mark.fault("N1")
 async def test_a_training_over_a_bad_network_ends_with_the_same_policy(
-    run: Run, whole: Run, environ: dict[str, str], network: Any
+    run: Run, whole: Run, environ: dict[str, str], network: Any, fork_child: StartChild
 ) -> None:
     weather = network.Weather(delay_s=0.005, jitter_s=0.005, resets_after=100_000)
     async with (
@@ -165,7 +172,7 @@ async def test_a_training_over_a_bad_network_ends_with_the_same_policy(
         network.ChaosProxy(environ["FREEREIN_REWARD_ADDRESS"], weather) as reward,
     ):
         over = {"FREEREIN_SIM_ADDRESS": sim.address, "FREEREIN_REWARD_ADDRESS": reward.address}
-        with Run(run.folder, {**environ, **over}).start() as process:
+        with Run(run.folder, {**environ, **over}, fork_child).start() as process:
             await asyncio.to_thread(run.until, 2)
             for proxy in (sim, reward):
                 proxy.partition()
@@ -197,12 +204,13 @@ def test_a_disk_that_is_full_for_a_while_costs_nothing(
     lies("slow 1000000")
     with run.start() as process:
         run.until(2)
-        process.rlimit(resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))  # not a byte more, in any file
+        limit = partial(psutil.Process(process.pid).rlimit, resource.RLIMIT_FSIZE)
+        limit((0, resource.RLIM_INFINITY))  # not a byte more, in any file
         lies("crawl 1000000")  # so that there is time to end it before three checkpoints are lost
         while int((reward.data_dir / "lies").read_text()[6:]) > 1_000_000 - 2:
             assert process.poll() is None, run.log
             time.sleep(0.002)
-        process.rlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+        limit((resource.RLIM_INFINITY, resource.RLIM_INFINITY))
         lies("")
         assert process.wait(PATIENCE_S) == 0, run.log
     assert run.policy == whole.policy
@@ -215,7 +223,7 @@ def test_a_disk_that_stays_full_stops_the_run_and_harms_no_checkpoint(run: Run, 
         run.until(1)
         kept = run.checkpoints[0] / "state.safetensors"
         before = kept.read_bytes()
-        process.rlimit(resource.RLIMIT_FSIZE, (4_000, 4_000))  # no checkpoint is so small
+        psutil.Process(process.pid).rlimit(resource.RLIMIT_FSIZE, (4_000, 4_000))  # no checkpoint is so small
         assert process.wait(PATIENCE_S) == PERMANENT_FAILURE
     assert "3 in a row could not be" in run.reason
     assert kept.read_bytes() == before
