@@ -2,16 +2,18 @@
 
 import json
 import os
-import subprocess
-import sys
+import signal
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from freerein.fork_server import Program, StartChild
 from freerein.jobs.attempt import WAITING_FILE
 from freerein.types.common import ModelRef
 from freerein_orchestrator.kinds import KINDS
@@ -20,6 +22,7 @@ from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.rl.errors import Stopped
 
 _LIMIT_S = 500.0
+_MODULE = "freerein_orchestrator.runs"
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,7 @@ class LooseRun:
         data_dir: The data directory.
         folder: The run's.
         environ: Where services are.
+        start_child: Starts child processes.
     """
 
     kind: Any
@@ -39,6 +43,7 @@ class LooseRun:
     data_dir: Path
     folder: Path
     environ: Mapping[str, str]
+    start_child: StartChild
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -77,23 +82,19 @@ class LooseRun:
 
     def kill_when(self, is_time: Callable[[], bool]) -> None:
         """Starts a child process that does the work, and kills it as soon as it is time."""
-        command = [
-            sys.executable,
-            "-m",
-            "freerein_orchestrator.runs",
-            str(self.folder),
-            str(self.data_dir),
-            "cpu",
-        ]
         environ = {**os.environ, "OMP_NUM_THREADS": "1", **self.environ}
-        limit = time.monotonic() + _LIMIT_S
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, env=environ) as child:
-            assert child.stderr is not None
+        arguments = str(self.folder), str(self.data_dir), "cpu"
+        stdin, held_open = os.pipe()
+        with tempfile.TemporaryFile() as log, os.fdopen(held_open, "wb"), os.fdopen(stdin):
+            output = log.fileno()
+            child = self.start_child(Program(_MODULE, arguments, environ, stdin, output, output))
+            limit = time.monotonic() + _LIMIT_S
             while not is_time():
-                assert child.poll() is None, child.stderr.read()
+                assert child.poll() is None, Path(f"/proc/self/fd/{output}").read_text()
                 assert time.monotonic() < limit
-                time.sleep(0.005)
-            child.kill()
+                time.sleep(0.01)
+            child.send_signal(signal.SIGKILL)
+            child.wait()
 
     def context(self, stop: Callable[[], bool] = bool, *, cancelled: bool = False) -> RunContext:
         """Returns the run's context in this process."""
@@ -112,7 +113,7 @@ NewRun = Callable[..., LooseRun]
 
 
 @pytest.fixture
-def new_run() -> NewRun:
+def new_run(fork_child: StartChild) -> NewRun:
     """A function that makes a run: `new_run(data_dir, "fit", {"dataset": ...}, FREEREIN_SIM_ADDRESS=...)`."""
 
     def new(data_dir: Path, kind: Any, config: Mapping[str, Any], *, name: str = "", **environ: str) -> LooseRun:
@@ -121,6 +122,67 @@ def new_run() -> NewRun:
         chosen = KINDS[kind]
         whole = chosen.dump(chosen.parse(config))
         (folder / "config.json").write_text(json.dumps({"kind": kind, "config": whole}))
-        return LooseRun(chosen, chosen.parse(json.loads(json.dumps(whole))), data_dir, folder, environ)
+        return LooseRun(chosen, chosen.parse(json.loads(json.dumps(whole))), data_dir, folder, environ, fork_child)
 
     return new
+
+
+class Mortal:
+    """A service that can be killed, and started again at its address.
+
+    Attributes:
+        address: Of its gRPC server.
+        data_dir: Its data directory.
+    """
+
+    def __init__(self, start: Callable[..., Any], module: str, **environ: str) -> None:
+        self._start = partial(start, module, **environ)
+        self._running = self._start()
+        self.address: str = self._running.address
+        self.data_dir: Path = self._running.data_dir
+
+    def kill(self) -> None:
+        self._running.kill()
+        self._running.process.wait()
+
+    def restart(self) -> None:
+        """Returns when it is ready: a run that waits asks whether to stop, too."""
+        self._running = self._start(FREEREIN_GRPC_PORT=self.address.rpartition(":")[2])
+        while not self._running.is_ready():
+            time.sleep(0.02)
+
+    def replaced_at(self, count: int, *, since: Callable[[], object] = lambda: True) -> "Replacing":
+        return Replacing(self, count, since)
+
+
+class Replacing:
+    """Asked whether to stop, says no; replaces a service when it is asked for the n-th time since something is true."""
+
+    def __init__(self, service: Mortal, count: int, since: Callable[[], object]) -> None:
+        self._service = service
+        self._left = count
+        self._since = since
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it was asked again after that."""
+        return self._left < 0
+
+    def __call__(self) -> bool:
+        self._left -= self._left <= 0 or bool(self._since())
+        if self._left == 0:
+            self._service.kill()
+            self._service.restart()
+        return False
+
+
+@pytest.fixture(scope="module")
+def mortal(start_module_service: Callable[..., Any]) -> Callable[..., Mortal]:
+    """A function that starts a service that tests may kill: `mortal("freerein_sim", NAME="value")`."""
+    return partial(Mortal, start_module_service)
+
+
+@pytest.fixture(scope="module")
+def mortal_sim(mortal: Callable[..., Mortal]) -> Mortal:
+    """A sim service of a module, which its tests may kill."""
+    return mortal("freerein_sim", FREEREIN_SIM_WORKERS="1")

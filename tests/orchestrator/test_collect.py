@@ -16,23 +16,24 @@ from freerein_orchestrator.kinds import KINDS
 
 pytestmark = pytest.mark.e2e
 COLLECT = KINDS["collect"]
-EXPERT = {"task": "grid", "dataset": "demos", "count": 40, "max_skills": 2, "seed": 3}
-RANDOM = {"task": "grid", "dataset": "demos", "behaviour": "random", "count": 6}
-VARIED = RANDOM | {"conditions": ["warm", "blur"]}
-
-CURIOSITY = {"task": "grid", "dataset": "demos", "behaviour": "curiosity", "count": 18, "num_envs": 2, "length": 8}
-
-
-@pytest.fixture(scope="module")
-def sim(start_module_service: Callable[..., Any]) -> Any:
-    return start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
+EXPERT = {"task": "grid", "dataset": "demos", "count": 3, "max_skills": 2, "seed": 3}
+RANDOM = {"task": "grid", "dataset": "demos", "behaviour": "random", "count": 4}
+VARIED = RANDOM | {"count": 2, "conditions": ["warm", "blur"]}
+CURIOSITY = {
+    "task": "grid",
+    "dataset": "demos",
+    "behaviour": "curiosity",
+    "count": 8,
+    "num_envs": 2,
+    "length": 20,
+}
 
 
 @pytest.fixture
-def collect(new_run: Callable[..., Any], sim: Any, tmp_path: Path) -> Callable[..., Any]:
+def collect(new_run: Callable[..., Any], mortal_sim: Any, tmp_path: Path) -> Callable[..., Any]:
     """A function that makes a run of a configuration."""
 
-    def new(config: dict[str, Any], *, name: str = "run", address: str = sim.address) -> Any:
+    def new(config: dict[str, Any], *, name: str = "run", address: str = mortal_sim.address) -> Any:
         return new_run(tmp_path, "collect", config, name=name, FREEREIN_SIM_ADDRESS=address)
 
     return new
@@ -50,14 +51,14 @@ def recorded(root: Path, sim: Any, request: DemonstrateRequest) -> str:
 
 @pytest.mark.parametrize("config", [EXPERT, RANDOM, VARIED], ids=["expert", "random", "varied"])
 def test_a_run_records_what_the_same_request_does_and_describes_it(
-    collect: Callable[..., Any], sim: Any, tmp_path: Path, config: dict[str, Any]
+    collect: Callable[..., Any], mortal_sim: Any, tmp_path: Path, config: dict[str, Any]
 ) -> None:
     run = collect(config)
     assert run.do()
 
     request = {"behaviour": "expert", **config, "conditions": tuple(config.get("conditions", ()))}
     del request["dataset"]
-    fingerprint = recorded(tmp_path / "plain", sim, DemonstrateRequest(**request))
+    fingerprint = recorded(tmp_path / "plain", mortal_sim, DemonstrateRequest(**request))
     dataset = Dataset(dataset_path(tmp_path, "demos"))
     assert dataset.fingerprint == fingerprint
     assert [bool(each.terminated[-1]) for each in dataset] == [config is EXPERT] * len(dataset)
@@ -73,19 +74,19 @@ def test_a_run_records_what_the_same_request_does_and_describes_it(
 
 
 def test_a_stopped_run_continues_and_records_nothing_twice(
-    collect: Callable[..., Any], sim: Any, tmp_path: Path
+    collect: Callable[..., Any], mortal_sim: Any, tmp_path: Path
 ) -> None:
     run, asked = collect(RANDOM), list[None]()
 
-    def stop_after_three() -> bool:
+    def stop_after_two() -> bool:
         asked.append(None)
-        return len(asked) > 4  # it is asked before and after the list of tasks, too
+        return len(asked) > 3  # it is asked before and after the list of tasks, too
 
-    assert not run.do(stop=stop_after_three)
-    assert 0 < len(Dataset(dataset_path(tmp_path, "demos"))) < 6
+    assert not run.do(stop=stop_after_two)
+    assert 0 < len(Dataset(dataset_path(tmp_path, "demos"))) < 4
     assert run.do()
 
-    fingerprint = recorded(tmp_path / "plain", sim, DemonstrateRequest("grid", "random", count=6))
+    fingerprint = recorded(tmp_path / "plain", mortal_sim, DemonstrateRequest("grid", "random", count=4))
     assert Dataset(dataset_path(tmp_path, "demos")).fingerprint == fingerprint
     steps = [row["step"] for row in run.rows]
     assert steps == sorted(set(steps))
@@ -93,49 +94,37 @@ def test_a_stopped_run_continues_and_records_nothing_twice(
 
 @pytest.mark.parametrize(
     ("config", "killed_at", "replaced_at"),
-    [(EXPERT | {"count": 400}, 20, 5), (CURIOSITY | {"count": 30}, 2, 25)],
+    [(EXPERT | {"count": 60}, 3, 5), (CURIOSITY, 2, 5)],
     ids=["expert", "curiosity"],
 )
 def test_a_child_killed_and_a_sim_killed_leave_the_dataset_of_an_undisturbed_run(
     collect: Callable[..., Any],
-    start_service: Callable[..., Any],
+    mortal_sim: Any,
     tmp_path: Path,
     config: dict[str, Any],
     killed_at: int,
     replaced_at: int,
 ) -> None:
-    mortal = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
-    port, asked, root = mortal.address.rpartition(":")[2], list[None](), dataset_path(tmp_path, "demos")
-
-    def replace_the_sim() -> bool:
-        asked.append(None)
-        if len(asked) == replaced_at:
-            mortal.kill()
-            mortal.process.wait()
-            start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", FREEREIN_GRPC_PORT=port)
-        return False
-
-    run = collect(config, address=mortal.address)
+    root, replacing = dataset_path(tmp_path, "demos"), mortal_sim.replaced_at(replaced_at)
+    run = collect(config)
     run.kill_when((root / "data/chunk-000" / f"file-{killed_at:03d}.parquet").exists)
     assert len(Dataset(root)) < config["count"]
-    assert run.do(stop=replace_the_sim)
-    assert len(asked) > replaced_at
-    assert collect(config | {"dataset": "plain"}, name="plain").do()
+    assert run.do(stop=replacing)
+    assert replacing.is_done
+    undisturbed = collect(config | {"dataset": "plain"}, name="plain")
+    assert undisturbed.do()
     assert Dataset(root).fingerprint == Dataset(dataset_path(tmp_path, "plain")).fingerprint
+    if config is CURIOSITY:
+        check_curiosity(undisturbed, Dataset(root))
 
 
-def test_curiosity_records_all_it_did_as_trajectories_within_episodes(
-    collect: Callable[..., Any], tmp_path: Path
-) -> None:
-    run = collect(CURIOSITY)
-    assert run.do()
-
-    dataset = Dataset(dataset_path(tmp_path, "demos"))
+def check_curiosity(run: Any, dataset: Dataset) -> None:
+    """Checks that all it did is recorded, as trajectories within episodes."""
     assert len(dataset) == CURIOSITY["count"]
-    assert dataset.lengths.tolist() == [8] * 12 + [2, 2, 6, 6] + [8] * 2  # an episode has 50
+    assert dataset.lengths.tolist() == [20] * 4 + [10] * 4  # an episode has 50
     assert dataset.skills == ((),) * len(dataset)
     assert not dataset.cached_terminations().steps.any()  # a time limit does not terminate an episode
-    assert [row["step"] for row in run.rows] == [2, 4, 6, 8, 10, 12, 16, 18]
+    assert [row["step"] for row in run.rows] == [2, 4, 8]
     assert all(row["intrinsic_reward"] > 0 for row in run.rows)
 
 

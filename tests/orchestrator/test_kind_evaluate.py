@@ -1,5 +1,6 @@
 """Runs of kind `evaluate`, with the real sim and imitation services."""
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,18 +17,14 @@ from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.rl.state import init_network
 
 pytestmark = pytest.mark.e2e
-RANDOM = {"task": "grid", "policy": "random", "episodes": 6, "num_envs": 2, "seed": 1}
-
-
-@pytest.fixture(scope="module")
-def sim(start_module_service: Callable[..., Any]) -> str:
-    return str(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").address)
+RANDOM = {"task": "grid", "policy": "random", "episodes": 4, "num_envs": 2, "seed": 1}
 
 
 @pytest.fixture
-def evaluation(new_run: Callable[..., Any], tmp_path: Path, sim: str) -> Callable[..., Any]:
+def evaluation(new_run: Callable[..., Any], tmp_path: Path, mortal_sim: Any) -> Callable[..., Any]:
     """A function that makes a run of a configuration."""
-    return lambda config, **environ: new_run(tmp_path, "evaluate", config, FREEREIN_SIM_ADDRESS=sim, **environ)
+    sim = {"FREEREIN_SIM_ADDRESS": mortal_sim.address}
+    return lambda config, **environ: new_run(tmp_path, "evaluate", config, **sim, **environ)
 
 
 def test_a_result_is_the_oracle_s_with_its_interval_and_says_that_it_is_privileged(
@@ -36,40 +33,27 @@ def test_a_result_is_the_oracle_s_with_its_interval_and_says_that_it_is_privileg
     run = evaluation(RANDOM)
     assert run.do()
     result = run.artifact("result.json")
-    assert (result["privileged"], result["policy"], result["episodes"]) == (True, "random", 6)
-    assert [len(result[name]) for name in ("returns", "lengths", "successes")] == [6, 6, 6]
+    assert (result["privileged"], result["policy"], result["episodes"]) == (True, "random", 4)
+    assert [len(result[name]) for name in ("returns", "lengths", "successes")] == [4, 4, 4]
     assert result["figures"]["return_mean"]["value"] == pytest.approx(np.mean(result["returns"]))
     mean = result["figures"]["return_mean"]
     assert mean["low"] <= mean["value"] <= mean["high"]
-    assert [row["step"] for row in run.rows] == [1, 2, 3, 4, 5, 6]
+    assert [row["step"] for row in run.rows] == [1, 2, 3, 4]
     assert run.rows[-1]["success_rate"] == result["figures"]["success_rate"]["value"]
 
 
 @pytest.mark.fault("O2")
 def test_an_evaluation_that_is_stopped_and_whose_sim_is_killed_comes_to_the_same_result(
-    evaluation: Callable[..., Any], start_service: Callable[..., Any], wait_until: Callable[..., float]
+    evaluation: Callable[..., Any], mortal_sim: Any
 ) -> None:
     undisturbed = evaluation(RANDOM)
     assert undisturbed.do()
 
-    mortal, asked = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1"), list[None]()
-    wait_until(mortal.is_ready, 300)  # a run that waits asks, too
     run = evaluation(RANDOM)
-    run.environ["FREEREIN_SIM_ADDRESS"] = mortal.address
-
-    def disturb() -> bool:
-        asked.append(None)
-        if len(asked) == 70:  # in the second round
-            mortal.kill()
-            mortal.process.wait()
-            port = mortal.address.rpartition(":")[2]
-            again = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", FREEREIN_GRPC_PORT=port)
-            wait_until(again.is_ready, 300)
-        return len(asked) == 150
-
-    assert not run.do(stop=disturb)
-    assert 0 < len(run.rows) < 6
-    assert run.do(stop=disturb)
+    replacing, asked = mortal_sim.replaced_at(20, since=lambda: run.rows), itertools.count()  # in the second round
+    assert not run.do(stop=lambda: replacing() or (replacing.is_done and next(asked) == 10))
+    assert 0 < len(run.rows) < 4
+    assert run.do()
     assert run.artifact("result.json") == undisturbed.artifact("result.json")
     assert run.rows == undisturbed.rows
 
@@ -98,7 +82,9 @@ def test_a_policy_of_a_ppo_run_acts_the_same_each_time(
     network = init_network(spec, generator)
     network.calibrate(torch.randint(256, (8, *spec.observation_shape), dtype=torch.uint8, generator=generator))
     save_policy(network, tmp_path / "runs" / "trained" / "artifacts", card={"task": "grid", "camera": "top"})
-    runs = [evaluation(RANDOM | {"policy": {"run": "trained", "stochastic": stochastic}}) for _ in range(2)]
+    runs = [
+        evaluation(RANDOM | {"episodes": 2, "policy": {"run": "trained", "stochastic": stochastic}}) for _ in range(2)
+    ]
     for run in runs:
         run.check()
         assert run.do()
@@ -129,7 +115,7 @@ def test_an_invalid_policy_is_refused(policy: Any) -> None:
 
 
 def test_the_scripted_expert_earns_more_than_random_actions(evaluation: Callable[..., Any]) -> None:
-    runs = [evaluation(RANDOM | {"policy": policy, "episodes": 4, "num_envs": 4}) for policy in ("expert", "random")]
+    runs = [evaluation(RANDOM | {"policy": policy, "episodes": 2}) for policy in ("expert", "random")]
     assert all(run.do() for run in runs)
     expert, random = (run.artifact("result.json")["figures"]["success_rate"]["value"] for run in runs)
     assert expert == 1 > random
@@ -162,7 +148,7 @@ def test_conditions_that_a_task_lacks_end_an_evaluation_with_those_that_it_has(e
 
 
 def test_a_baseline_runs_the_same_episodes_and_gives_the_gain(evaluation: Callable[..., Any]) -> None:
-    config = RANDOM | {"policy": "expert", "episodes": 4}
+    config = RANDOM | {"policy": "expert", "episodes": 2}
     run, random = evaluation(config | {"baseline": "random"}), evaluation(config | {"policy": "random"})
     run.check()
     assert run.do()
@@ -176,7 +162,7 @@ def test_a_baseline_runs_the_same_episodes_and_gives_the_gain(evaluation: Callab
     assert figures["gain"]["value"] == pytest.approx(gains.mean())
     assert gains.min() <= figures["gain"]["low"] <= figures["gain"]["high"] <= gains.max()
     assert figures["gain"]["baseline"] == 0
-    same = evaluation(RANDOM | {"baseline": "random"})
+    same = evaluation(RANDOM | {"baseline": "random", "episodes": 2})
     assert same.do()
     assert same.artifact("result.json")["figures"]["gain"]["high"] == 0
 
@@ -199,7 +185,7 @@ def test_a_missing_run_and_one_without_a_policy_are_refused(evaluation: Callable
 
 
 def test_a_stored_policy_can_be_evaluated(evaluation: Callable[..., Any]) -> None:
-    task = {"task": "blocks.yellow-left-of-green", "episodes": 2, "num_envs": 2}
+    task = {"task": "blocks.yellow-left-of-green", "episodes": 1}
     stored = evaluation(task | {"policy": {"stored": "yellow-left-of-green"}})
     stored.check()
     assert stored.do()

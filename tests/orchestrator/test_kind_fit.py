@@ -31,7 +31,7 @@ from freerein.types.learning import (
 from freerein_orchestrator.kinds import KINDS
 
 pytestmark = pytest.mark.e2e
-STEPS = 60
+STEPS = 20
 TINY = {"steps": STEPS, "batch_size": 2, "features": 8, "hidden_size": 8, "embedding_size": 4, "log_every": 5}
 FIT = {"service": "imitation", "dataset": "play", "config": TINY}
 
@@ -49,8 +49,8 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def imitation(start_module_service: Callable[..., Any], data_dir: Path) -> Any:
-    return start_module_service("freerein_imitation", data_dir, FREEREIN_SHIPPED_DIR="none")
+def imitation(mortal: Callable[..., Any], data_dir: Path) -> Any:
+    return mortal("freerein_imitation", data_dir=data_dir, FREEREIN_SHIPPED_DIR="none")
 
 
 @pytest.fixture
@@ -94,23 +94,13 @@ def test_a_run_told_to_stop_leaves_its_fit_and_a_cancelled_one_cancels_it_and_re
 
 @pytest.mark.fault("O2")
 def test_a_run_waits_for_a_service_that_is_killed_and_goes_on_with_its_fit(
-    new_run: Callable[..., Any], start_service: Callable[..., Any], data_dir: Path, tmp_path: Path
+    run: Any, imitation: Any, fits: Callable[[], list[Any]]
 ) -> None:
-    (tmp_path / "datasets").symlink_to(data_dir / "datasets")
-    first = start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none")
-    run, asked = new_run(tmp_path, "fit", FIT, FREEREIN_IMITATION_ADDRESS=first.address), Nth(3)
-
-    def replace_the_service() -> bool:
-        if asked():
-            first.kill()
-            first.process.wait()
-            port = first.address.rpartition(":")[2]
-            start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none", FREEREIN_GRPC_PORT=port)
-        return False
-
-    assert run.do(stop=replace_the_service)
+    replacing = imitation.replaced_at(3)
+    assert run.do(stop=replacing)
+    assert replacing.is_done
     assert run.rows[-1]["step"] == STEPS
-    assert len(list((tmp_path / "fits").rglob("request.json"))) == 1
+    assert len(fits()) == 1
 
 
 def test_a_run_fails_for_the_reason_of_its_fit_and_resumes_it_once_that_is_mended(

@@ -3,7 +3,7 @@
 import json
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +12,15 @@ import pytest
 from freerein.clients import Channel, FitClient, SyncClient
 from freerein.data import Dataset, dataset_path
 from freerein.errors import InvalidInput, NotFound, OutOfStorage
-from freerein.types.learning import ListFitsRequest
+from freerein.types.learning import Fit, ListFitsRequest
 from freerein_orchestrator.kinds import KINDS
 
 pytestmark = pytest.mark.e2e
-TINY = {"steps": 20, "batch_size": 2, "features": 8, "hidden_size": 8, "embedding_size": 4, "log_every": 5}
+TINY = {"steps": 6, "batch_size": 2, "features": 8, "hidden_size": 8, "embedding_size": 4, "log_every": 2}
 COLLECT = {
     "name": "play",
     "kind": "collect",
-    "config": {"task": "grid", "dataset": "play", "behaviour": "random", "count": 4},
+    "config": {"task": "grid", "dataset": "play", "behaviour": "random", "count": 3},
 }
 FIT = {"name": "fit", "kind": "fit", "config": {"service": "imitation", "dataset": "play", "config": TINY}}
 CHANCE = {"name": "chance", "kind": "evaluate", "config": {"task": "grid", "policy": "random", "episodes": 2}}
@@ -32,66 +32,81 @@ def sim(start_module_service: Callable[..., Any]) -> str:
     return str(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").address)
 
 
+@pytest.fixture(scope="module")
+def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("data")
+
+
+@pytest.fixture(scope="module")
+def addresses(start_module_service: Callable[..., Any], sim: str, data_dir: Path) -> dict[str, str]:
+    """Where sim and imitation are, by variable; nobody is where reward should be."""
+    imitation = start_module_service("freerein_imitation", data_dir, FREEREIN_SHIPPED_DIR="none")
+    services = {"SIM": sim, "IMITATION": imitation.address, "REWARD": "127.0.0.1:9"}
+    return {f"FREEREIN_{name}_ADDRESS": address for name, address in services.items()}
+
+
 @pytest.fixture
-def pipeline(new_run: Callable[..., Any], start_service: Callable[..., Any], sim: str, tmp_path: Path) -> Any:
-    """A run that collects, evaluates chance, and fits what was collected, which begins beside."""
-    return new_run(
-        tmp_path,
-        "pipeline",
-        {"steps": [COLLECT, CHANCE, FIT | {"after": ["play"]}]},
-        FREEREIN_SIM_ADDRESS=sim,
-        FREEREIN_IMITATION_ADDRESS=start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none").address,
-    )
+def fits(addresses: dict[str, str]) -> Iterator[Callable[[], list[Fit]]]:
+    """A function that returns the fits of this test, newest first."""
+    with SyncClient(FitClient(Channel(addresses["FREEREIN_IMITATION_ADDRESS"]))) as client:
+        before = len(client.list_fits(ListFitsRequest()).fits)
+        yield lambda: list(client.list_fits(ListFitsRequest()).fits[: -before or None])
 
 
 @pytest.mark.fault("O1")
 def test_a_pipeline_killed_between_its_steps_does_each_once_and_shows_all_in_one_curve(
-    pipeline: Any, tmp_path: Path
+    new_run: Callable[..., Any], addresses: dict[str, str], data_dir: Path, fits: Callable[[], list[Fit]]
 ) -> None:
+    pipeline = new_run(data_dir, "pipeline", {"steps": [COLLECT, CHANCE, FIT | {"after": ["play"]}]}, **addresses)
     done = pipeline.folder / "parts" / "play" / "done.json"
     pipeline.kill_when(done.exists)
-    recorded, fingerprint = done.stat().st_mtime_ns, Dataset(dataset_path(tmp_path, "play")).fingerprint
+    recorded, fingerprint = done.stat().st_mtime_ns, Dataset(dataset_path(data_dir, "play")).fingerprint
 
     assert pipeline.do()
 
-    assert (done.stat().st_mtime_ns, Dataset(dataset_path(tmp_path, "play")).fingerprint) == (recorded, fingerprint)
-    assert len(list((tmp_path / "fits").rglob("request.json"))) == 1
+    assert (done.stat().st_mtime_ns, Dataset(dataset_path(data_dir, "play")).fingerprint) == (recorded, fingerprint)
+    assert len(fits()) == 1
     steps = [row["step"] for row in pipeline.rows]
-    assert (steps == sorted(set(steps)), steps[-1], pipeline.kind.steps(pipeline.config)) == (True, 26, 26)
+    assert (steps == sorted(set(steps)), steps[-1], pipeline.kind.steps(pipeline.config)) == (True, 11, 11)
     assert {name.partition("/")[0] for row in pipeline.rows for name in row} == {"step", "play", "fit", "chance"}
     assert pipeline.artifact("play.dataset.json")["fingerprint"] == fingerprint
     (mean,) = [row["chance/return_mean"] for row in pipeline.rows if "chance/return_mean" in row]
     assert pipeline.artifact("chance.result.json")["figures"]["return_mean"]["value"] == mean
     assert pipeline.model.name == "default"
     rows = [(row["name"], row["kind"], row["steps"]) for row in pipeline.artifact("steps.json")]
-    assert rows == [("play", "collect", 4), ("chance", "evaluate", 2), ("fit", "fit", 20)]
+    assert rows == [("play", "collect", 3), ("chance", "evaluate", 2), ("fit", "fit", 6)]
 
 
 def test_a_fit_begins_beside_the_steps_that_it_does_not_come_after_and_is_cancelled_when_the_run_is_or_fails(
     new_run: Callable[..., Any],
-    start_service: Callable[..., Any],
-    sim: str,
-    tmp_path: Path,
+    addresses: dict[str, str],
+    data_dir: Path,
+    fits: Callable[[], list[Fit]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("freerein_orchestrator.kinds.fit._CANCEL_S", 60.0)
-    imitation = start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none")
-    long = {**FIT, "config": {**FIT["config"], "config": TINY | {"steps": 100_000}}, "after": ["play"]}
+
+    def collect(name: str) -> dict[str, Any]:
+        return COLLECT | {"config": COLLECT["config"] | {"dataset": name}}
+
+    def long(name: str) -> dict[str, Any]:
+        return FIT | {
+            "config": FIT["config"] | {"dataset": name, "config": TINY | {"steps": 100_000}},
+            "after": ["play"],
+        }
+
     many = CHANCE | {"config": CHANCE["config"] | {"episodes": 100_000}}
     lost = CHANCE | {"name": "lost", "config": {"task": "nothing", "policy": "random"}}
-    addresses = {"FREEREIN_SIM_ADDRESS": sim, "FREEREIN_IMITATION_ADDRESS": imitation.address}
-    run = new_run(tmp_path, "pipeline", {"steps": [COLLECT, many, long]}, **addresses)
-    with SyncClient(FitClient(Channel(imitation.address))) as fits:
-        assert not run.do(stop=lambda: any(fit.state == "running" for fit in fits.list_fits(ListFitsRequest()).fits))
-        assert [each.parent.name for each in run.folder.glob("parts/*/done.json")] == ["play"]
-        assert not run.do(stop=lambda: True, cancelled=True)
-        (fit,) = fits.list_fits(ListFitsRequest()).fits
-        assert fit.state == "cancelled"
-        again = COLLECT | {"config": COLLECT["config"] | {"dataset": "again"}}
-        with pytest.raises(NotFound):
-            new_run(tmp_path, "pipeline", {"steps": [again, lost, long]}, **addresses).do()
-        begun, _ = fits.list_fits(ListFitsRequest()).fits
-        assert (begun.id != fit.id, begun.state) == (True, "cancelled")
+    run = new_run(data_dir, "pipeline", {"steps": [collect("walk"), many, long("walk")]}, **addresses)
+    assert not run.do(stop=lambda: any(fit.state == "running" for fit in fits()))
+    assert [each.parent.name for each in run.folder.glob("parts/*/done.json")] == ["play"]
+    assert not run.do(stop=lambda: True, cancelled=True)
+    (fit,) = fits()
+    assert fit.state == "cancelled"
+    with pytest.raises(NotFound):
+        new_run(data_dir, "pipeline", {"steps": [collect("again"), lost, long("again")]}, **addresses).do()
+    begun, _ = fits()
+    assert (begun.id != fit.id, begun.state) == (True, "cancelled")
 
 
 def test_fits_are_cancelled_at_once_though_their_service_does_not_answer(
@@ -133,7 +148,7 @@ def test_only_a_fit_may_begin_early_and_only_after_earlier_steps(steps: Any) -> 
 
 
 def test_a_policy_is_trained_then_distilled_then_evaluated_with_a_sentence(
-    new_run: Callable[..., Any], start_service: Callable[..., Any], sim: str, tmp_path: Path
+    new_run: Callable[..., Any], addresses: dict[str, str], data_dir: Path
 ) -> None:
     small = {
         "iterations": 2,
@@ -145,24 +160,21 @@ def test_a_policy_is_trained_then_distilled_then_evaluated_with_a_sentence(
         "feature_size": 8,
     }
     teach = {"task": "grid", "goal_text": "pick up all", "reward": "oracle", "encoder": "spatial", **small}
-    words = {"steps": 10, "batch_size": 4, "features": 8, "text_features": 4, "hidden_size": 8, "log_every": 5}
+    words = {"steps": 4, "batch_size": 2, "features": 8, "text_features": 4, "hidden_size": 8, "log_every": 2}
     told = {"run": "student", "goal_text": "pick up all"}
     steps = [
         {"name": "teacher", "kind": "ppo", "config": teach},
-        {"name": "student", "kind": "distill", "config": {"teachers": ["teacher"], "rollouts": 4, "config": words}},
+        {
+            "name": "student",
+            "kind": "distill",
+            "config": {"teachers": ["teacher"], "rollouts": 3, "num_envs": 2, "config": words},
+        },
         {"name": "exam", "kind": "evaluate", "config": {"task": "grid", "policy": told, "episodes": 2}},
     ]
-    run = new_run(
-        tmp_path,
-        "pipeline",
-        {"steps": steps},
-        FREEREIN_SIM_ADDRESS=sim,
-        FREEREIN_REWARD_ADDRESS="127.0.0.1:9",
-        FREEREIN_IMITATION_ADDRESS=start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none").address,
-    )
+    run = new_run(data_dir, "pipeline", {"steps": steps}, **addresses)
     run.check()
     assert run.do()
-    assert run.rows[-1]["step"] == 2 + 4 + 10 + 2
+    assert run.rows[-1]["step"] == 2 + 3 + 4 + 2
     result = run.artifact("exam.result.json")
     assert (result["goal_text"], result["model"]["version"]) == ("pick up all", run.model.version)
     teachers = run.artifact("student.dataset.json")["teachers"]

@@ -25,17 +25,23 @@ TASKS = (replace(grid.TASKS[0], name="replayed", make=lambda: ReplayedWorld(Unsa
 PPO = {
     "reward": "oracle",
     "encoder": "spatial",
-    "iterations": 3,
+    "iterations": 2,
     "num_envs": 2,
-    "num_steps": 20,
+    "num_steps": 10,
     "epochs": 1,
-    "batch_size": 20,
+    "batch_size": 10,
     "hidden_size": 8,
     "feature_size": 8,
 }
 RANDOM = {"dataset": "random", "behaviour": "random", "count": 4}
-CURIOSITY = {"dataset": "curious", "behaviour": "curiosity", "count": 10, "num_envs": 2, "length": 15}
-EVALUATE = {"policy": "random", "episodes": 4, "num_envs": 2, "seed": 1}
+CURIOSITY = {
+    "dataset": "curious",
+    "behaviour": "curiosity",
+    "count": 6,
+    "num_envs": 2,
+    "length": 8,
+}
+EVALUATE = {"policy": "random", "episodes": 3, "num_envs": 2, "seed": 1}
 
 
 @pytest.fixture(scope="module")
@@ -51,17 +57,17 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture(scope="module")
-def steady(start_module_service: Callable[..., Any]) -> str:
-    """The address of a sim that is never replaced."""
-    return str(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").address)
+def sim(mortal: Callable[..., Any], packages: str) -> Any:
+    """A sim that offers `replayed` and `grid`, and may be killed."""
+    return mortal("freerein_sim", FREEREIN_SIM_WORKERS="1", PYTHONPATH=packages)
 
 
 @pytest.fixture
-def expect(new_run: Callable[..., Any], steady: str, tmp_path: Path) -> Callable[..., Any]:
+def expect(new_run: Callable[..., Any], sim: Any, tmp_path: Path) -> Callable[..., Any]:
     """A function that finishes a run in the world `grid`."""
 
     def finish_run(kind: str, config: dict[str, Any]) -> Any:
-        run = new_run(tmp_path / "expected", kind, {**config, "task": "grid"}, FREEREIN_SIM_ADDRESS=steady)
+        run = new_run(tmp_path / "expected", kind, {**config, "task": "grid"}, FREEREIN_SIM_ADDRESS=sim.address)
         assert run.do()
         return run
 
@@ -69,31 +75,14 @@ def expect(new_run: Callable[..., Any], steady: str, tmp_path: Path) -> Callable
 
 
 @pytest.fixture
-def finish(
-    new_run: Callable[..., Any],
-    start_service: Callable[..., Any],
-    wait_until: Callable[..., float],
-    packages: str,
-    tmp_path: Path,
-) -> Callable[..., Any]:
-    """A function that finishes a run in the world `replayed`, whose sim is replaced at the `replaced_at`th call."""
+def finish(new_run: Callable[..., Any], sim: Any, tmp_path: Path) -> Callable[..., Any]:
+    """A function that finishes a run in the world `replayed`; its sim may be replaced at a call after its first row."""
 
-    def finish_run(kind: str, config: dict[str, Any], *, replaced_at: int) -> Any:
-        environ = {"FREEREIN_SIM_WORKERS": "1", "PYTHONPATH": packages}
-        sim, asked = start_service("freerein_sim", **environ), list[None]()
-        wait_until(sim.is_ready, 300)  # a run that waits asks, too
-
-        def replace_the_sim() -> bool:
-            asked.append(None)
-            if len(asked) == replaced_at:
-                sim.kill()
-                sim.process.wait()
-                start_service("freerein_sim", FREEREIN_GRPC_PORT=sim.address.rpartition(":")[2], **environ)
-            return False
-
+    def finish_run(kind: str, config: dict[str, Any], *, replaced_at: int = 0) -> Any:
         run = new_run(tmp_path, kind, {**config, "task": "replayed"}, FREEREIN_SIM_ADDRESS=sim.address)
-        assert run.do(stop=replace_the_sim)
-        assert len(asked) > replaced_at
+        replacing = sim.replaced_at(replaced_at, since=lambda: run.rows)
+        assert run.do(stop=replacing if replaced_at else bool)
+        assert replacing.is_done or not replaced_at
         return run
 
     return finish_run
@@ -104,7 +93,7 @@ def trajectories(data_dir: Path, dataset: str) -> list[tuple[bytes, bytes]]:
     return [(each.frames["top"].tobytes(), each.actions.tobytes()) for each in found]
 
 
-@pytest.mark.parametrize(("config", "replaced_at"), [(RANDOM, 4), (CURIOSITY, 30)], ids=["random", "curiosity"])
+@pytest.mark.parametrize(("config", "replaced_at"), [(RANDOM, 0), (CURIOSITY, 5)], ids=["random", "curiosity"])
 def test_a_dataset_holds_the_same(
     finish: Callable[..., Any], expect: Callable[..., Any], config: dict[str, Any], replaced_at: int
 ) -> None:
@@ -114,10 +103,10 @@ def test_a_dataset_holds_the_same(
 
 
 def test_ppo_ends_with_the_same_weights(finish: Callable[..., Any], expect: Callable[..., Any]) -> None:
-    found = finish("ppo", PPO, replaced_at=160)
+    found = finish("ppo", PPO, replaced_at=5)
     assert sum(row["recoveries"] for row in found.rows) > 0
     assert found.artifact("policy.json")["sha256"] == expect("ppo", PPO).artifact("policy.json")["sha256"]
 
 
 def test_an_evaluation_comes_to_the_same(finish: Callable[..., Any], expect: Callable[..., Any]) -> None:
-    assert finish("evaluate", EVALUATE, replaced_at=70).rows == expect("evaluate", EVALUATE).rows
+    assert finish("evaluate", EVALUATE).rows == expect("evaluate", EVALUATE).rows
