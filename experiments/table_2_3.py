@@ -4,8 +4,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from experiments import table_2_2
 from experiments.segmentation.evaluation import CONFIDENT_ACCURACY, FRAME_ACCURACY, KEPT_ACCURACY, LEAST_CONFIDENCE
 from experiments.segmentation.methods import CAUSAL, OURS, WHOLE
@@ -128,7 +126,7 @@ def _samples(arms: Sequence[ArmResult], figure: str) -> list[Sample]:
 def _claim(row: Row, executed: dict[Row, list[ArmResult]]) -> Claim:
     arms, ceilings = executed[row], executed[Row(TRUE_LABELS)]
     samples = _samples(arms, SUBTASKS)
-    low, high = claims.interval(samples, rng=np.random.default_rng(0))
+    low, high = claims.interval(samples)
     value = PER_CENT * claims.mean(samples)
     ceiling = PER_CENT * claims.mean(_samples(ceilings, SUBTASKS)) if ceilings else None
     is_ours = row == _OURS
@@ -157,7 +155,7 @@ def _is_close(samples: Sequence[Sample], ceilings: Sequence[ArmResult]) -> bool:
     if not ceilings:
         return False
     true = _samples(ceilings, SUBTASKS)
-    low, _ = claims.ratio_interval(samples, true, rng=np.random.default_rng(0))
+    low, _ = claims.ratio_interval(samples, true)
     return PER_CENT * claims.mean(true) >= _LEAST_CEILING and low >= _LEAST_RATIO
 
 

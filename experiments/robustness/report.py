@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 
-import numpy as np
-
 from experiments.robustness import scenes, visited_states, wordings
 from experiments.robustness.heat_map import heat_map
 from experiments.robustness.targets import BASELINE, OURS, Made, make_claims, samples_of
@@ -213,7 +211,7 @@ def _visited_section(results: Sequence[ArmResult]) -> Section:
 
 def _interval(arms: Sequence[ArmResult], name: str) -> str:
     found = samples_of(arms, name)
-    low, high = claims.interval(found, rng=np.random.default_rng(0))
+    low, high = claims.interval(found)
     return f"{claims.mean(found):.3f} [{low:.3f}, {high:.3f}]"
 
 

@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from experiments.robustness import confidence, policies, scenes, speed, visited_states, wordings
 from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, NOMINAL, SCATTERED, conditions
 from experiments.segmentation.evaluation import FRAME_ACCURACY
@@ -245,7 +243,7 @@ def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
     values = {name: target.unit * claims.mean(samples_of(arms, name)) for name in target.samples}
     worst = (max if target.least is None else min)(values, key=values.__getitem__)
     samples = samples_of(arms, worst)
-    low, high = claims.interval(samples, rng=np.random.default_rng(0))
+    low, high = claims.interval(samples)
     baseline, ceiling = (_mean(target, each, worst) for each in (others, ceilings))
     claim = Claim(
         claim=target.claim,

@@ -1,5 +1,7 @@
 """The tasks and conditions of the benchmark."""
 
+from functools import cache
+
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import World
@@ -18,6 +20,7 @@ CURRICULUM = "start-on-the-way"
 """A condition to learn under: no policy need hold under it."""
 
 
+@cache
 def conditions(task: str) -> tuple[str, ...]:
     """Returns `NOMINAL`, then what a task declares; of numbers of blocks only those in which `blocks` differs."""
     declared = [each for each in tasks()[task].conditions if each.name != CURRICULUM]

@@ -75,13 +75,13 @@ class Rows:
     def interval(self, row: Row, figure: str) -> tuple[float, float]:
         """Returns the 95 % interval of `value`, in per cent."""
         samples = [arm.samples[figure] for arm in self.arms[row]]
-        low, high = claims.interval(samples, rng=np.random.default_rng(0))
+        low, high = claims.interval(samples)
         return PER_CENT * low, PER_CENT * high
 
     def difference(self, row: Row, other: Row, figure: str) -> tuple[float, float]:
         """Returns the 95 % interval of how much a row is above another one on the same trials, in per cent."""
         ours, theirs = ([arm.samples[figure] for arm in self.arms[each]] for each in (row, other))
-        low, high = claims.difference_interval(ours, theirs, rng=np.random.default_rng(0))
+        low, high = claims.difference_interval(ours, theirs)
         return PER_CENT * low, PER_CENT * high
 
     def baseline(self, row: Row, figure: str) -> float | None:

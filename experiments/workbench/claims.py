@@ -1,8 +1,9 @@
 """Claims: figures with intervals, baselines and ceilings, as they stand in `table.json`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import lru_cache
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,8 @@ from experiments.workbench.results import Sample
 Scale = Literal["full", "reduced"]
 """`full` for the dissertation's amount of training data, else `reduced`, which supports no claim."""
 
-_RESAMPLES = 2000
+_RESAMPLES, _SEED = 2000, 0
+"""Of every bootstrap: figures over as many trials are of the same resampled ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,29 +63,25 @@ def mean(samples: Sequence[Sample]) -> float:
     return float(np.mean([sample.mean for sample in samples]))
 
 
-def interval(samples: Sequence[Sample], *, rng: np.random.Generator) -> tuple[float, float]:
+def interval(samples: Sequence[Sample]) -> tuple[float, float]:
     """Returns the 95 % interval of the mean over seeds: percentile bootstrap over seeds and over trials.
 
     All seeds have the same resampled trials, for they are evaluated on the same ones: more seeds do not make up for few
     trials. With one seed it is over its trials, and says nothing about other seeds.
     """
-    (means,) = _resampled_means([samples], rng)
+    (means,) = _resampled_means([samples])
     return _middle(means)
 
 
-def ratio_interval(
-    samples: Sequence[Sample], others: Sequence[Sample], *, rng: np.random.Generator
-) -> tuple[float, float]:
+def ratio_interval(samples: Sequence[Sample], others: Sequence[Sample]) -> tuple[float, float]:
     """Returns the 95 % interval of the ratio of two means over seeds, which are resampled apart, as in `interval`."""
-    means, other_means = _resampled_means([samples, others], rng)
+    means, other_means = _resampled_means([samples, others])
     return _middle(means / other_means)
 
 
-def difference_interval(
-    samples: Sequence[Sample], others: Sequence[Sample], *, rng: np.random.Generator
-) -> tuple[float, float]:
+def difference_interval(samples: Sequence[Sample], others: Sequence[Sample]) -> tuple[float, float]:
     """Returns the 95 % interval of the difference of two means over seeds, as `ratio_interval`."""
-    means, other_means = _resampled_means([samples, others], rng)
+    means, other_means = _resampled_means([samples, others])
     return _middle(means - other_means)
 
 
@@ -97,25 +95,42 @@ def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, l
     return (value - baseline) / (ceiling - baseline)
 
 
-def _resampled_means(groups: Sequence[Sequence[Sample]], rng: np.random.Generator) -> list[npt.NDArray[np.float64]]:
+def _resampled_means(groups: Sequence[Sequence[Sample]]) -> list[npt.NDArray[np.float64]]:
     """Returns the means over resampled seeds of the figure over resampled trials, float64 (resamples,), of each group.
 
     Samples of as many trials have the same resampled trials.
     """
-    lengths = sorted({len(sample.totals) for samples in groups for sample in samples})
-    trials = {length: rng.integers(length, size=(_RESAMPLES, length)) for length in lengths}
+    drawn, rng = _draw_trials(tuple(sorted({len(sample.totals) for samples in groups for sample in samples})))
     means = []
     for samples in groups:
-        ratios = np.stack([_ratios(sample, trials[len(sample.totals)]) for sample in samples], axis=1)  # (R, seeds)
+        ratios = np.stack([_ratios(sample, drawn[len(sample.totals)]) for sample in samples], axis=1)  # (R, seeds)
         seeds = rng.integers(len(samples), size=ratios.shape)
         means.append(np.take_along_axis(ratios, seeds, axis=1).mean(axis=1))
     return means
 
 
-def _ratios(sample: Sample, trials: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
-    """Returns a sample's figure over each choice of trials, of int64 (R, trials): float64 (R,)."""
-    totals, counts = np.array(sample.totals, np.float64), np.array(sample.counts, np.float64)
-    ratios: npt.NDArray[np.float64] = totals[trials].sum(axis=1) / counts[trials].sum(axis=1)
+def _draw_trials(lengths: tuple[int, ...]) -> tuple[Mapping[int, npt.NDArray[np.float64]], np.random.Generator]:
+    """Returns how often each trial is in each resample, for each number of trials, and the generator after that."""
+    drawn, state = _draw_trials_once(lengths)
+    rng = np.random.default_rng()
+    rng.bit_generator.state = state
+    return drawn, rng
+
+
+@lru_cache(maxsize=8)
+def _draw_trials_once(lengths: tuple[int, ...]) -> tuple[Mapping[int, npt.NDArray[np.float64]], Mapping[str, Any]]:
+    rng = np.random.default_rng(_SEED)
+    drawn = {}
+    for length in lengths:
+        trials = rng.integers(length, size=(_RESAMPLES, length))
+        drawn[length] = np.stack([np.bincount(row, minlength=length) for row in trials]).astype(np.float64)
+    return drawn, rng.bit_generator.state
+
+
+def _ratios(sample: Sample, drawn: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Returns a sample's figure over each resample of its trials, which are float64 (R, trials): float64 (R,)."""
+    sums = drawn @ np.array([sample.totals, sample.counts], np.float64).T  # (R, 2)
+    ratios: npt.NDArray[np.float64] = sums[:, 0] / sums[:, 1]
     return ratios
 
 
