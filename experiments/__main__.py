@@ -11,6 +11,7 @@ from experiments.workbench import results, table
 from experiments.workbench.arms import Arm, choose, is_current
 from experiments.workbench.results import ArmResult
 from experiments.workbench.runner import Ending, Places, run_arms
+from experiments.workbench.table import Table
 from freerein.errors import NotFound, ServiceError
 
 _WEEK_MINUTES = 7 * 24 * 60
@@ -44,10 +45,8 @@ def _run(arguments: argparse.Namespace) -> int:
 def _table(arguments: argparse.Namespace) -> int:
     """Makes the tables of the named experiments, else of all that have results."""
     for name in arguments.names or registry.EXPERIMENTS:
-        experiment = registry.load(name)
-        found = [each for source in (name, *experiment.sources) for each in _load_current(source, arguments.results)]
-        if found:
-            made = experiment.table(found)
+        made = make_table(name, arguments.results)
+        if made is not None:
             table.save(made, arguments.results / name)
             print(table.markdown(made))
         elif arguments.names:
@@ -56,6 +55,13 @@ def _table(arguments: argparse.Namespace) -> int:
                 hint="Run: python -m experiments run NAME.",
             )
     return 0
+
+
+def make_table(name: str, folder: Path) -> Table | None:
+    """Returns the table of an experiment's current results, which lie in `folder / name`; None without any."""
+    experiment = registry.load(name)
+    found = [each for source in (name, *experiment.sources) for each in _load_current(source, folder)]
+    return experiment.table(found) if found else None
 
 
 def _load_current(name: str, folder: Path) -> list[ArmResult]:

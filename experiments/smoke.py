@@ -8,19 +8,20 @@ from experiments.segmentation.study import SUPERVISED, Method, Study
 EXPERIMENT = SegmentationExperiment(
     studies=(
         Study(
-            data=DatasetSpec("grid", train=SplitSpec(24, 2, 4), validation=SplitSpec(6, 2, 4), test=SplitSpec(6, 5, 5)),
+            data=DatasetSpec("grid", train=SplitSpec(16, 2, 3), validation=SplitSpec(4, 2, 3), test=SplitSpec(4, 3, 3)),
             methods=(Method("lse", ("causal",), {"objective": "lse"}), Method(SUPERVISED, ("causal",))),
             seeds=2,
             settings={
-                "encoder": "principal",  # the cheapest: the evaluation clones actions with it
+                "encoder": "principal",  # the cheapest
                 "features": 8,
-                "steps": 24,
+                "steps": 12,
                 "batch_size": 4,
                 "evaluate_every": 4,
                 "checkpoint_every": 2,
                 "log_every": 2,
             },
-            train_evaluated=8,
+            train_evaluated=4,
+            action_steps=4,
         ),
     ),
     report=Report("smoke", title="A tiny experiment", text="For tests: the figures mean nothing."),

@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -33,6 +34,9 @@ from freerein_sim.worlds.world import WorldSpec
 SplitName = Literal["train", "validation", "test"]
 SPLITS: tuple[SplitName, ...] = get_args(SplitName)
 """Splits in the order in which they are drawn."""
+
+_LEAST_PER_PROCESS = 8
+"""Trajectories that are worth a process."""
 
 
 @dataclass(frozen=True)
@@ -114,13 +118,30 @@ def step_cache(path: Path, lengths: npt.NDArray[np.int64], dtype: np.dtype[D], s
 def _draw_split(spec: DatasetSpec, name: SplitName, folder: Path) -> None:
     """Draws the parts of a split at the same time, and joins their files."""
     split = spec.split(name)
-    bounds = np.linspace(0, split.count, (os.cpu_count() or 1) + 1).astype(int).tolist()
+    count = max(1, min(os.cpu_count() or 1, split.count // _LEAST_PER_PROCESS))
+    bounds = np.linspace(0, split.count, count + 1).astype(int).tolist()
     parts = {
         folder / "parts" / f"{name}-{first}": draw.Part(
             spec.task, spec.seed, SPLITS.index(name), split.least_skills, split.most_skills, first, stop
         )
         for first, stop in pairwise(bounds)
     }
+    _draw_parts(parts)
+    for file in draw.FILES:
+        target = folder / ("truth" if file == "labels" else "") / name / f"{file}.raw"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with target.open("wb") as joined:
+            for path in parts:
+                with (path / file).open("rb") as piece:
+                    shutil.copyfileobj(piece, joined)
+    shutil.rmtree(folder / "parts")
+
+
+def _draw_parts(parts: Mapping[Path, draw.Part]) -> None:
+    """Draws several parts in a process each, a single one in this process."""
+    if len(parts) == 1:
+        draw.main(*next(iter(parts.items())))
+        return
     commands = (
         [sys.executable, "-m", "experiments.segmentation.draw", str(path), json.dumps(asdict(part))]
         for path, part in parts.items()
@@ -130,11 +151,3 @@ def _draw_split(spec: DatasetSpec, name: SplitName, folder: Path) -> None:
         exit_codes = [process.wait() for process in processes]
     if any(exit_codes):
         raise FailedPrecondition("Drawing the demonstrations failed.", hint="See the error of its process above.")
-    for file in draw.FILES:
-        target = folder / ("truth" if file == "labels" else "") / name / f"{file}.raw"
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with target.open("wb") as joined:
-            for path in parts:
-                with (path / file).open("rb") as piece:
-                    shutil.copyfileobj(piece, joined)
-    shutil.rmtree(folder / "parts")

@@ -16,10 +16,10 @@ from experiments.segmentation import (
     truth,
     weakly_supervised,
 )
-from experiments.segmentation.dataset import SPLITS, SplitName
+from experiments.segmentation.dataset import SPLITS, DatasetSpec, SplitName
 from experiments.segmentation.guesses import GUESSES
 from experiments.segmentation.report import Report
-from experiments.segmentation.study import SUPERVISED, Study
+from experiments.segmentation.study import ACTION_STEPS, SUPERVISED, Study
 from experiments.workbench.arms import Arm
 from experiments.workbench.configs import Config
 from experiments.workbench.results import ArmResult, Outcome
@@ -34,10 +34,28 @@ SHOWN_LABELS = "test.labels"
 """What a network shows: its labels of the first test trajectories."""
 
 _SHOWN = 4
-_ACTION_STEPS = 500
 _LABELLED: tuple[SplitName, ...] = ("train", "validation")
 
 Fitted = FitResult[SegmentationNetwork]
+
+
+@dataclass(frozen=True)
+class ArmConfig:
+    """What an arm's result depends on.
+
+    Attributes:
+        data: The demonstrations.
+        train_evaluated: Number of training trajectories that are evaluated.
+        fit: The fit of its network; None for a guess.
+        trials: Learning rates that are tried before, and the steps of each; None where nothing is.
+        action_steps: As in `Study`.
+    """
+
+    data: DatasetSpec
+    train_evaluated: int
+    fit: SegmentationConfig | None = None
+    trials: Mapping[str, object] | None = None
+    action_steps: int = ACTION_STEPS
 
 
 @dataclass(frozen=True)
@@ -65,12 +83,12 @@ class SegmentationExperiment:
     def config(self, arm: Arm) -> Config:
         """Returns the data and, for a network, the segmentation service's configuration and what is tried."""
         study = self._study(arm.world)
-        config: dict[str, object] = {"data": study.data, "train_evaluated": study.train_evaluated}
-        if not study.is_guess(arm):
-            config["fit"] = study.fit_config(arm)
-        if not study.is_guess(arm) and study.tries_learning_rates(arm):
-            config["trials"] = {"learning_rates": list(study.learning_rates), "steps": study.trial_steps}
-        return config
+        guessed = ArmConfig(study.data, study.train_evaluated)
+        if study.is_guess(arm):
+            return guessed
+        is_tried = study.tries_learning_rates(arm)
+        tried = {"learning_rates": study.learning_rates, "steps": study.trial_steps} if is_tried else None
+        return replace(guessed, fit=study.fit_config(arm), trials=tried, action_steps=study.action_steps)
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Draws the demonstrations, or waits until another arm has drawn them."""
@@ -167,7 +185,7 @@ def _action_loss(
         validation,
         labels["validation"],
         spec=spec,
-        steps=_ACTION_STEPS,
+        steps=study.action_steps,
         seed=0,
         device=choose_device("auto"),
     )

@@ -13,6 +13,8 @@ from freerein_segmentation.training import SegmentationConfig
 SUPERVISED = "supervised"
 """Method of the ceiling: cross-entropy on true labels."""
 
+ACTION_STEPS = 500
+
 _CONTEXTS: Mapping[str, Context] = MappingProxyType({"causal": 0, "bidirectional": "all"})
 
 
@@ -45,6 +47,7 @@ class Study:
         learning_rates: What each method and context tries in shorter fits, before the first of its seeds, unless it
             has one of its own; the lowest validation loss chooses. Empty: `settings` has the learning rate.
         trial_steps: Optimiser steps of these fits.
+        action_steps: Optimiser steps of the network that clones actions, for `evaluation.ACTION_LOSS`.
     """
 
     data: DatasetSpec
@@ -55,6 +58,7 @@ class Study:
     guesses: tuple[str, ...] = ("random", "random_cls", "majority")
     learning_rates: tuple[float, ...] = ()
     trial_steps: int = 0
+    action_steps: int = ACTION_STEPS
 
     @property
     def world(self) -> str:

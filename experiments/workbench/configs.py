@@ -3,11 +3,14 @@
 import json
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, fields, is_dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from freerein.learning.checkpoints import JSON
 
-Config = Mapping[str, object]
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Config: TypeAlias = "Mapping[str, object] | DataclassInstance"
 """JSON, in which dataclasses may stand for objects: their keys may have defaults."""
 
 

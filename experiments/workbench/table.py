@@ -54,9 +54,8 @@ class Table:
 
 def save(table: Table, folder: Path) -> None:
     """Writes the files of the table; equal tables give equal bytes of the first two."""
-    document = {"claims": [asdict(claim) for claim in table.claims]}
     write_atomic(folder / "table.md", markdown(table).encode())
-    write_atomic(folder / TABLE_FILE, json.dumps(document, indent=2, allow_nan=False).encode() + b"\n")
+    write_atomic(folder / TABLE_FILE, claims_json(table).encode())
     write_atomic(folder / "table.png", table.picture.draw())
 
 
@@ -64,6 +63,11 @@ def markdown(table: Table) -> str:
     """Returns the table as Markdown."""
     sections = "\n\n".join(map(_section, table.sections))
     return f"# {table.title}\n\n{table.text}\n\n{sections}\n\n![{table.picture.alt}](table.png)\n"
+
+
+def claims_json(table: Table) -> str:
+    """Returns the claims of the table as JSON."""
+    return json.dumps({"claims": [asdict(claim) for claim in table.claims]}, indent=2, allow_nan=False) + "\n"
 
 
 def _section(section: Section) -> str:

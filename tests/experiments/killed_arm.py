@@ -9,7 +9,7 @@ from pathlib import Path
 from experiments import registry
 from experiments.workbench.arms import choose
 
-EVENTS = 4  # checkpoints every second step, and evaluations every fourth; 24 steps are due
+EVENTS = 3  # checkpoints every second step, and evaluations every fourth; 12 steps are due
 
 
 def main(folder: Path, work: Path, name: str) -> None:

@@ -1,6 +1,7 @@
-"""Tiny arms from demonstrations to a table, through the commands; one of them is stopped, and then killed."""
+"""Tiny arms, through the commands; one of them is killed, and then stopped. Results become tables."""
 
 import fcntl
+import itertools
 import json
 import os
 import signal
@@ -8,25 +9,25 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from experiments import registry
-from experiments.__main__ import main
+from experiments.__main__ import main, make_table
+from experiments.segmentation.dataset import SPLITS
 from experiments.smoke import EXPERIMENT as SMOKE
-from experiments.workbench import results
+from experiments.workbench import results, table
 from experiments.workbench.arms import choose, world_version
 from experiments.workbench.configs import to_json
-from experiments.workbench.results import ArmResult, Sample
+from experiments.workbench.results import ArmResult, Outcome, Sample
 from experiments.workbench.runner import Ending, Places, arm_folder, run_arms
 
 from freerein_segmentation.methods import METHODS
 
 ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "experiments" / "results"
 ARM = "grid-lse-causal-seed0"
-ARMS = (ARM, "grid-supervised-causal-seed0", "grid-random_cls-seed0")
 FIELDS = (
     "claim value low high seeds trials scale baseline ceiling gap_closed dissertation target met world_version command "
     "minutes"
@@ -43,45 +44,58 @@ def options(places: Places) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Places:
-    """Places in which the arms ran without interruption."""
-    root = tmp_path_factory.mktemp("uninterrupted")
-    places = Places(root / "results", root / "work")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(ROOT)
-        assert main(["run", "smoke", "--jobs", "2", "--only", *ARMS, *options(places)]) == 0
-    return places
+def places(tmp_path_factory: pytest.TempPathFactory) -> Places:
+    root = tmp_path_factory.mktemp("smoke")
+    return Places(root / "results", root / "work")
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(places: Places) -> Outcome:
+    """The outcome of an arm that ran without interruption, in the folder `uninterrupted` beside its own."""
+    outcome = run_here(places, smoke_folder(places).with_name("uninterrupted"))
+    assert outcome is not None
+    return outcome
 
 
 @pytest.mark.long
-def test_an_arm_that_was_stopped_and_then_killed_goes_on_to_the_same_result(
-    tmp_path: Path, uninterrupted: Places
+def test_an_arm_that_was_killed_and_then_stopped_goes_on_to_the_same_result(
+    places: Places, uninterrupted: Outcome
 ) -> None:
-    for attempt in range(5):  # where this process stands still for seconds, the arm is stopped too late to be killed
-        places = Places(tmp_path / f"results{attempt}", tmp_path / f"work{attempt}")
-        folder = smoke_folder(places)
-        children_with_lock: set[str] = set()
-        ending = run_smoke(places, should_stop=partial(has_checkpoint, folder, children_with_lock))
-        if newest_checkpoint(folder) < "step-000000014":
-            break
-    assert ending == ["stopped"]
-    assert len(children_with_lock) == 1
-    stopped = assert_unfinished(folder)
-    assert json.loads((folder / "elapsed.json").read_bytes())["cpu_s"] > 0
-
+    folder = smoke_folder(places)
     script = [sys.executable, str(Path(__file__).with_name("killed_arm.py")), str(folder), str(places.work), ARM]
     ended = subprocess.run(script, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False)
     assert ended.returncode == -signal.SIGKILL
-    assert assert_unfinished(folder) > stopped
+    killed = newest_checkpoint(folder).name
+
+    events = itertools.count(1)
+
+    def stop_at_second_event() -> None:
+        if next(events) == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    assert run_here(places, folder, on_progress=stop_at_second_event) is None
+    assert killed < newest_checkpoint(folder).name < newest_checkpoint(folder.with_name("uninterrupted")).name
 
     assert main(["run", "smoke", "--only", ARM, *options(places)]) == 0
 
-    assert_same_result(places, uninterrupted)
+    result = results.load(places.results / "smoke" / f"{ARM}.json")
+    assert (result.figures, result.samples) == (uninterrupted.figures, uninterrupted.samples)
+    assert result.cpu_minutes > 0
+    assert contents(newest_checkpoint(folder)) == contents(newest_checkpoint(folder.with_name("uninterrupted")))
 
 
-def test_an_arm_leaves_a_model_that_the_service_loads(uninterrupted: Places) -> None:
-    model = METHODS.load(smoke_folder(uninterrupted) / "model", "cpu")
+def test_an_arm_leaves_a_model_that_the_service_loads(places: Places, uninterrupted: Outcome) -> None:
+    model = METHODS.load(smoke_folder(places).with_name("uninterrupted") / "model", "cpu")
     assert model.skills == SMOKE.studies[0].data.world.skills
+
+
+@pytest.mark.parametrize("name", ["grid-supervised-causal-seed0", "grid-random_cls-seed0"])
+def test_the_ceiling_and_guesses_are_evaluated_alike(name: str, places: Places, uninterrupted: Outcome) -> None:
+    outcome = run_here(places, places.work / name, name=name)
+    assert outcome is not None
+    assert outcome.figures.keys() <= uninterrupted.figures.keys()
+    assert outcome.samples.keys() <= uninterrupted.samples.keys()
+    assert {f"{split}.frame_accuracy" for split in SPLITS} <= outcome.samples.keys()
 
 
 def test_an_arm_waits_for_the_lock_of_its_folder(tmp_path: Path) -> None:
@@ -95,31 +109,17 @@ def test_an_arm_waits_for_the_lock_of_its_folder(tmp_path: Path) -> None:
     assert [path.name for path in folder.iterdir()] == ["lock"]
 
 
-@pytest.mark.long
-def test_arms_become_results_and_these_a_table_with_claims(
-    uninterrupted: Places, capfd: pytest.CaptureFixture[str]
-) -> None:
-    places = uninterrupted
+def test_the_child_process_of_an_arm_has_its_lock_and_is_stopped_when_time_is_up(tmp_path: Path) -> None:
+    places = Places(tmp_path / "results", tmp_path / "work")
+    lock, children_with_lock = smoke_folder(places) / "lock", set[str]()
 
-    assert main(["run", "smoke", "--only", *ARMS, *options(places)]) == 0
-    assert capfd.readouterr().out.count("present") == 3
-    assert main(["table", "smoke", "--results", str(places.results)]) == 0
+    def is_started() -> bool:
+        children_with_lock.update(children_with(lock))
+        return bool(children_with_lock)
 
-    folder = places.results / "smoke"
-    claims = json.loads((folder / "table.json").read_bytes())["claims"]
-    assert [claim["claim"].removeprefix("smoke.") for claim in claims if claim["claim"].endswith("test")] == [
-        "grid.random_cls.test",
-        "grid.lse.causal.test",
-        "grid.supervised.causal.test",
-    ]
-    assert all(list(claim) == FIELDS.split() for claim in claims)
-    assert all(claim["low"] <= claim["value"] <= claim["high"] for claim in claims)
-    assert {claim["seeds"] for claim in claims if "random_cls" in claim["claim"]} == {None}
-    assert {claim["scale"] for claim in claims} == {None}
-    by_name = {claim["claim"]: claim for claim in claims}
-    assert by_name["smoke.grid.lse.causal.test"]["ceiling"] == by_name["smoke.grid.supervised.causal.test"]["value"]
-    assert "| lse | causal |" in (folder / "table.md").read_text()
-    assert (folder / "table.png").read_bytes().startswith(b"\x89PNG")
+    assert run_smoke(places, should_stop=is_started) == ["stopped"]
+    assert len(children_with_lock) == 1
+    assert not places.results.exists()
 
 
 def test_no_time_left_stops_an_arm_and_a_later_run_would_resume_it(
@@ -165,6 +165,33 @@ def without_key_with_default(result: ArmResult) -> ArmResult:
     config = to_json(result.config)
     del config["fit"]["rounds"]
     return replace(result, config=config)
+
+
+def test_results_become_a_table_with_claims(current: ArmResult, tmp_path: Path) -> None:
+    better = {name: Sample([2, 3], [3, 3]) for name in current.samples}
+    for arm in choose(SMOKE, ["*-seed0"]):
+        config, samples = to_json(SMOKE.config(arm)), better if arm.method == "supervised" else current.samples
+        named = {"name": arm.name, "method": arm.method, "options": arm.options}
+        results.save(replace(current, **named, config=config, samples=samples), tmp_path / "smoke")
+
+    assert main(["table", "smoke", "--results", str(tmp_path)]) == 0
+
+    claims = json.loads((tmp_path / "smoke" / "table.json").read_bytes())["claims"]
+    assert [claim["claim"].removeprefix("smoke.") for claim in claims if claim["claim"].endswith("test")] == [
+        "grid.random.test",
+        "grid.random_cls.test",
+        "grid.majority.test",
+        "grid.lse.causal.test",
+        "grid.supervised.causal.test",
+    ]
+    assert all(list(claim) == FIELDS.split() for claim in claims)
+    assert all(claim["low"] <= claim["value"] <= claim["high"] for claim in claims)
+    assert {claim["seeds"] for claim in claims if "random_cls" in claim["claim"]} == {None}
+    assert {claim["scale"] for claim in claims} == {None}
+    by_name = {claim["claim"]: claim for claim in claims}
+    assert by_name["smoke.grid.lse.causal.test"]["ceiling"] == by_name["smoke.grid.supervised.causal.test"]["value"]
+    assert "| lse | causal |" in (tmp_path / "smoke" / "table.md").read_text()
+    assert (tmp_path / "smoke" / "table.png").read_bytes().startswith(b"\x89PNG")
 
 
 CHANGES = pytest.mark.parametrize("change", [{"config": {"data": {}}}, {"world_version": "grid-v0"}])
@@ -214,20 +241,12 @@ def test_an_unknown_arm_and_missing_results_are_refused_with_a_hint(
     assert "python -m experiments run" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in registry.EXPERIMENTS if (ROOT / "experiments/results" / name).exists()]
-)
-def test_a_committed_table_follows_from_the_committed_results(name: str, tmp_path: Path) -> None:
-    committed = ROOT / "experiments/results"
-    for path in committed.glob("*/*.json"):
-        (tmp_path / path.parent.name).mkdir(exist_ok=True)
-        (tmp_path / path.relative_to(committed)).write_bytes(path.read_bytes())
-
-    assert main(["table", name, "--results", str(tmp_path)]) == 0
-
-    for file in ("table.md", "table.json"):
-        made, kept = (folder / name / file for folder in (tmp_path, committed))
-        assert made.read_text() == kept.read_text(), "stale: run make tables"
+@pytest.mark.parametrize("name", [name for name in registry.EXPERIMENTS if (RESULTS / name / "table.md").exists()])
+def test_a_committed_table_follows_from_the_committed_results(name: str) -> None:
+    made = make_table(name, RESULTS)
+    assert made is not None
+    assert table.markdown(made) == (RESULTS / name / "table.md").read_text(), "stale: run make tables"
+    assert table.claims_json(made) == (RESULTS / name / "table.json").read_text(), "stale: run make tables"
 
 
 def smoke_folder(places: Places) -> Path:
@@ -247,30 +266,17 @@ def children_with(path: Path) -> set[str]:
     return {child for child, files in opened.items() if any(os.path.realpath(each) == str(path) for each in files)}
 
 
-def has_checkpoint(folder: Path, children_with_lock: set[str]) -> bool:
-    """Returns whether an arm has saved one; adds the children that have its lock."""
-    children_with_lock.update(children_with(folder / "lock"))
-    return any(folder.glob("checkpoints/*/*"))
+def run_here(
+    places: Places, folder: Path, *, name: str = ARM, on_progress: Callable[[], None] = lambda: None
+) -> Outcome | None:
+    """Runs an arm in this process, in a folder."""
+    (arm,) = choose(SMOKE, [name])
+    return SMOKE.run(arm, results=places.results, work=places.work, folder=folder, on_progress=on_progress)
 
 
-def newest_checkpoint(folder: Path) -> str:
-    return max(path.name for path in (folder / "checkpoints").iterdir())
+def newest_checkpoint(folder: Path) -> Path:
+    return max((folder / "checkpoints").iterdir())
 
 
-def assert_unfinished(folder: Path) -> str:
-    """Returns the name of the newest checkpoint, which is not the last."""
-    newest = newest_checkpoint(folder)
-    assert "24" not in newest
-    return newest
-
-
-def assert_same_result(places: Places, expected: Places) -> None:
-    ours, theirs = (results.load(each.results / "smoke" / f"{ARM}.json") for each in (places, expected))
-    assert ours.figures == theirs.figures
-    assert ours.samples == theirs.samples
-    assert last_checkpoint(smoke_folder(places)) == last_checkpoint(smoke_folder(expected))
-
-
-def last_checkpoint(folder: Path) -> dict[str, bytes]:
-    newest = max((folder / "checkpoints").iterdir())
-    return {path.name: path.read_bytes() for path in newest.iterdir()}
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
