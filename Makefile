@@ -2,7 +2,7 @@
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup dev demo check test bench tables robustness fuzz soak mutants compat stubs stubs-fresh fmt
+.PHONY: help setup dev demo check test test-long bench tables robustness fuzz soak mutants compat stubs stubs-fresh fmt
 
 help: ## List what can be made
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1|\2/p' $(MAKEFILE_LIST) | while IFS='|' read -r name text; do \
@@ -28,8 +28,14 @@ check: dev stubs-fresh ## Lint, format, types, import contracts, proto, its stub
 # A third of a worker's time is waiting: for processes that start, deadlines, leases.
 WORKERS = $(shell expr $$(nproc) \* 3 / 2)
 
+PARALLEL = --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
+
 test: dev ## Run the tests, a file at a time on each worker; three workers for two cores
-	$(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest $(PARALLEL) -m "not long"
+
+test-long: dev ## Run the tests that take long by nature; commit tests/long-tests.sha256 when they have passed
+	$(BIN)/pytest $(PARALLEL) -m long
+	tools/long-tests passed
 
 bench: dev ## Compare speed with that of peers
 	$(BIN)/python -m benchmarks
@@ -41,8 +47,8 @@ robustness: dev ## Every model under every condition: runs what lacks a result, 
 	$(BIN)/python -m experiments run robustness
 	$(BIN)/python -m experiments table robustness
 
-fuzz: dev ## The fault tests with their large counts (20 000 generated requests per REST API, 20 kills), and the long tests
-	FREEREIN_FUZZ=1 $(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder --timeout 1200 tests/faults \
+fuzz: dev ## The fault tests with their large counts (20 000 generated requests per REST API, 20 kills), and the long ones
+	FREEREIN_FUZZ=1 $(BIN)/pytest $(PARALLEL) --timeout 1200 tests/faults \
 	  tests/freerein/test_benchmarks.py tests/orchestrator/test_rl_against_stable_baselines3.py
 
 soak: dev ## All five services under mixed load: MINUTES=20, after a minute with a planted leak that must be found
