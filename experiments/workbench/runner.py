@@ -7,7 +7,6 @@ An arm that was killed resumes from its newest checkpoint. The lock of its folde
 
 import fcntl
 import json
-import os
 import subprocess
 import sys
 import time
@@ -22,7 +21,6 @@ from experiments.workbench import results
 from experiments.workbench.arms import Arm, Experiment, is_current, world_version
 from experiments.workbench.cache_paths import cache_path
 from freerein.atomic_files import make_folder, write_atomic
-from freerein.jobs.attempt import KEEP_FREED_MEMORY
 from freerein.jobs.child import STOPPED
 
 _POLL_S = 0.1
@@ -118,7 +116,6 @@ def _run_child(folder: Path, lock: int, should_stop: Callable[[], bool]) -> Endi
     with subprocess.Popen(
         [sys.executable, "-m", "freerein.program", "experiments.child", str(folder)],
         stdin=subprocess.PIPE,
-        env={**KEEP_FREED_MEMORY, **os.environ},
         pass_fds=[lock],  # held until both are gone: a child that outlives us for a moment excludes the next
     ) as child:
         while child.poll() is None:
