@@ -36,6 +36,7 @@ LANDMARKS = {"form": "landmarks", "task": "blocks", "policy": {"model": "default
 RECIPES = {"form": "recipes", "task": "blocks", "policy": {"model": "skills"}, "episodes": 2, "num_envs": 1}
 RELATIONS = {"form": "relations", "task": "blocks.scatter", "episodes": 4, "num_envs": 2}
 TEXT = "a yellow block to the {} of a green block"
+TINY = {"steps": 2, "batch_size": 2, "features": 8, "hidden_size": 8}
 SEGMENTATION = {"form": "segmentation", "task": "grid", "model": "grid", "min_skills": 2, "episodes": 4, "num_envs": 2}
 
 
@@ -220,25 +221,33 @@ def test_a_reward_model_chooses_among_the_captions_of_every_visible_pair(
 
 
 @pytest.mark.e2e
-def test_a_student_is_told_every_goal_text_in_every_task_and_compared_with_one_constant_text(
+def test_a_student_of_a_trained_policy_is_told_every_goal_text_in_every_task_and_compared_with_one_constant_text(
     new_run: Callable[..., Any], start_service: Callable[..., Any], services: dict[str, str], tmp_path: Path
 ) -> None:
-    sides = ("left", "right")
-    tasks, texts = ([name.format(side) for side in sides] for name in ("blocks.yellow-{}-of-green", TEXT))
-    words = {"steps": 4, "batch_size": 2, "features": 8, "text_features": 4, "hidden_size": 8, "log_every": 2}
-    teachers = [f"yellow-{side}-of-green" for side in sides]
-    distill = {"teachers": teachers, "rollouts": 2, "num_envs": 2, "config": words}
+    tasks, texts = ([name.format(side) for side in ("left", "right")] for name in ("blocks.yellow-{}-of-green", TEXT))
+    small = {"iterations": 1, "num_envs": 2, "num_steps": 4, "batch_size": 4, "epochs": 1, "hidden_size": 8}
+    teach = {"task": tasks[0], "reward": "oracle", "encoder": "spatial", "feature_size": 8, **small}
+    words = {"steps": 2, "batch_size": 2, "features": 8, "text_features": 4, "hidden_size": 8, "log_every": 2}
+    distill = {"teachers": ["teacher", "yellow-right-of-green"], "rollouts": 2, "num_envs": 2, "config": words}
+    told = {"run": "student", "goal_text": texts[0]}
     sentences = {"form": "sentences", "task": tasks[0], "other_tasks": tasks[1:], "policy": {"run": "student"}}
     steps = [
+        {"name": "teacher", "kind": "ppo", "config": teach},
         {"name": "student", "kind": "distill", "config": distill},
-        {"name": "told", "kind": "evaluate", "config": sentences | {"episodes": 3, "num_envs": 2}},
+        {"name": "exam", "kind": "evaluate", "config": {"task": tasks[0], "policy": told, "episodes": 1}},
+        {"name": "told", "kind": "evaluate", "config": sentences | {"episodes": 2, "num_envs": 2}},
     ]
     imitation = start_service("freerein_imitation", tmp_path, FREEREIN_SHIPPED_DIR="none").address
     run = new_run(tmp_path, "pipeline", {"steps": steps}, **services | {"FREEREIN_IMITATION_ADDRESS": imitation})
     run.check()
     assert run.do()
+    assert run.rows[-1]["step"] == 1 + 2 * 2 + 2 + 1 + 2
+    exam = run.artifact("exam.result.json")
+    assert (exam["goal_text"], exam["model"]["version"]) == (texts[0], run.model.version)
+    (learned, _) = run.artifact("student.dataset.json")["teachers"]
+    assert learned["sha256"] == run.artifact("teacher.policy.json")["sha256"]
     result = run.artifact("told.result.json")
-    assert (result["tasks"], result["goal_texts"], result["counts"]["episodes"]) == (tasks, texts, 2 * 2 * 3)
+    assert (result["tasks"], result["goal_texts"], result["counts"]["episodes"]) == (tasks, texts, 2 * 2 * 2)
     returns = {(each["task"], each["goal_text"]): each["return_mean"]["value"] for each in result["told"]}
     own = np.mean([returns[pair] for pair in zip(tasks, texts, strict=True)])
     constant = {text: np.mean([returns[task, text] for task in tasks]) for text in texts}
@@ -259,7 +268,7 @@ def test_demonstrations_are_collected_fitted_labelled_and_the_labels_measured_on
     new_run: Callable[..., Any], start_service: Callable[..., Any], services: dict[str, str], tmp_path: Path
 ) -> None:
     demos = {"task": "grid", "dataset": "demos", "count": 6, "max_skills": 2}
-    fit = {"service": "segmentation", "dataset": "demos", "model_name": "grid", "config": {"steps": 4, "batch_size": 2}}
+    fit = {"service": "segmentation", "dataset": "demos", "model_name": "grid", "config": TINY}
     steps = [
         {"name": "demos", "kind": "collect", "config": demos},
         {"name": "fit", "kind": "fit", "config": fit},

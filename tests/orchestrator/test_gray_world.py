@@ -39,7 +39,7 @@ def test_gray_and_wide_frames_are_collected_fitted_and_labelled(
     sim = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", PYTHONPATH=packages)
     segmentation = start_service("freerein_segmentation", tmp_path)
     steps = [
-        {"name": "demos", "kind": "collect", "config": {"task": "gray", "dataset": "demos", "count": 4}},
+        {"name": "demos", "kind": "collect", "config": {"task": "gray", "dataset": "demos", "count": 2}},
         {
             "name": "fit",
             "kind": "fit",
@@ -47,7 +47,7 @@ def test_gray_and_wide_frames_are_collected_fitted_and_labelled(
                 "service": "segmentation",
                 "dataset": "demos",
                 "model_name": "gray",
-                "config": {"steps": 2, "batch_size": 2},
+                "config": {"steps": 2, "batch_size": 2, "features": 8, "hidden_size": 8},
             },
         },
         {"name": "label", "kind": "label", "config": {"dataset": "demos", "model": "gray"}},

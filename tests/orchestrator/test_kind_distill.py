@@ -2,6 +2,7 @@
 
 import errno
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -64,39 +65,42 @@ def distillation(new_run: Callable[..., Any], data_dir: Path, sim: str) -> Calla
 
 
 @pytest.mark.fault("O1")
-def test_a_run_killed_during_rollouts_and_during_its_fit_comes_to_the_same_dataset_and_the_same_student(
+def test_a_run_killed_during_rollouts_and_during_its_fits_comes_to_the_same_dataset_and_fits_each_student_once(
     distillation: Callable[..., Any], start_service: Callable[..., Any], data_dir: Path
 ) -> None:
+    """Of the same dataset a fit makes the same student, which takes seconds."""
     address = start_service("freerein_imitation", data_dir, FREEREIN_SHIPPED_DIR="none").address
-    undisturbed = distillation(dataset="undisturbed", model_name="undisturbed", imitation=address, **TWICE)
-    assert undisturbed.do()
-    card_of_dataset = undisturbed.artifact("dataset.json")
-    dataset = Dataset(dataset_path(data_dir, card_of_dataset["dataset"]))
+    killed, fits = distillation(imitation=address, **TWICE), data_dir / "fits"
+
+    def trajectories(run: Any) -> int:
+        return len(list((run.folder / "rollouts" / "data").rglob("*.parquet")))
+
+    killed.kill_when(lambda: trajectories(killed) >= 3)
+    killed.kill_when(lambda: any(fits.rglob("request.json")))
+    assert not killed.do(stop=(killed.folder / "parts" / "fit-0" / "model.json").is_file)
+    undisturbed = distillation(imitation=address, dataset="undisturbed", **TWICE)
+    shutil.copytree(killed.folder, undisturbed.folder, ignore=shutil.ignore_patterns("config.json"), dirs_exist_ok=True)
+    assert not undisturbed.do(stop=(undisturbed.folder / "artifacts" / "dataset.json").exists)
+    killed.kill_when(lambda: trajectories(killed) >= 7)
+    killed.kill_when(lambda: len(list(fits.rglob("request.json"))) >= 2)
+    assert killed.do()
+
+    teachers = distillation(dataset="teachers")
+    assert not teachers.do(stop=(teachers.folder / "artifacts" / "dataset.json").exists)  # and no fit
+    assert Dataset(dataset_path(data_dir, "rollouts.0")).fingerprint == teachers.artifact("dataset.json")["fingerprint"]
+    card_of_dataset = killed.artifact("dataset.json")
+    assert card_of_dataset == undisturbed.artifact("dataset.json") | {"dataset": "rollouts"}
+    assert len(list(fits.rglob("request.json"))) == 2
+
+    dataset = Dataset(dataset_path(data_dir, "rollouts"))
     assert dataset.goal_texts == (*["pick up all"] * 2, *["pick up nothing"] * 2) * 2
-    assert Dataset(dataset_path(data_dir, "undisturbed.0")).goal_texts == dataset.goal_texts[:4]
     assert dataset.spec.action.names == ("up", "down", "left", "right", "pick-up")
     assert [each.terminated.any() for each in dataset] == [len(each.actions) < 50 for each in dataset]
     assert [teacher["goal_text"] for teacher in card_of_dataset["teachers"]] == ["pick up all", "pick up nothing"]
-
-    card = json.loads(
-        (data_dir / "models/imitation/undisturbed" / undisturbed.model.version / "card.json").read_bytes()
-    )
-    assert (card["privileged"], card["supervision"].endswith("of policies with this supervision: what is true")) == (
-        True,
-        True,
-    )
-
-    killed = distillation(imitation=address, **TWICE)
-    trajectories, fits = killed.folder / "rollouts" / "data", data_dir / "fits"
-    killed.kill_when(lambda: len(list(trajectories.rglob("*.parquet"))) >= 3)
-    killed.kill_when(lambda: len(list(fits.rglob("request.json"))) >= 3)
-    killed.kill_when(lambda: len(list(trajectories.rglob("*.parquet"))) >= 7)
-    killed.kill_when(lambda: len(list(fits.rglob("request.json"))) >= 4)
-    assert killed.do()
-
-    assert len(list(fits.rglob("request.json"))) == 4
-    assert killed.artifact("dataset.json") == card_of_dataset | {"dataset": "rollouts"}
-    assert (killed.model.name, killed.model.version) == ("language", undisturbed.model.version)
+    assert killed.model.name == "language"
+    card = json.loads((data_dir / "models/imitation/language" / killed.model.version / "card.json").read_bytes())
+    assert card["privileged"]
+    assert card["supervision"].endswith("of policies with this supervision: what is true")
     steps = [row["step"] for row in killed.rows]
     assert (steps == sorted(set(steps)), steps[:2], steps[-1]) == (True, [2, 4], killed.kind.steps(killed.config))
     assert {12, 14} < set(steps)  # the student's rollouts, after those of its teachers and 6 updates

@@ -39,10 +39,9 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def addresses(start_module_service: Callable[..., Any], sim: str, data_dir: Path) -> dict[str, str]:
-    """Where sim and imitation are, by variable; nobody is where reward should be."""
+    """Where sim and imitation are, by variable."""
     imitation = start_module_service("freerein_imitation", data_dir, FREEREIN_SHIPPED_DIR="none")
-    services = {"SIM": sim, "IMITATION": imitation.address, "REWARD": "127.0.0.1:9"}
-    return {f"FREEREIN_{name}_ADDRESS": address for name, address in services.items()}
+    return {"FREEREIN_SIM_ADDRESS": sim, "FREEREIN_IMITATION_ADDRESS": imitation.address}
 
 
 @pytest.fixture
@@ -145,40 +144,6 @@ def test_only_a_fit_may_begin_early_and_only_after_earlier_steps(steps: Any) -> 
     with pytest.raises(InvalidInput, match=r"earlier steps|before their turn") as error:
         KINDS["pipeline"].parse({"steps": steps})
     assert error.value.field == "config.steps.after"
-
-
-def test_a_policy_is_trained_then_distilled_then_evaluated_with_a_sentence(
-    new_run: Callable[..., Any], addresses: dict[str, str], data_dir: Path
-) -> None:
-    small = {
-        "iterations": 2,
-        "num_envs": 2,
-        "num_steps": 8,
-        "batch_size": 8,
-        "epochs": 1,
-        "hidden_size": 8,
-        "feature_size": 8,
-    }
-    teach = {"task": "grid", "goal_text": "pick up all", "reward": "oracle", "encoder": "spatial", **small}
-    words = {"steps": 4, "batch_size": 2, "features": 8, "text_features": 4, "hidden_size": 8, "log_every": 2}
-    told = {"run": "student", "goal_text": "pick up all"}
-    steps = [
-        {"name": "teacher", "kind": "ppo", "config": teach},
-        {
-            "name": "student",
-            "kind": "distill",
-            "config": {"teachers": ["teacher"], "rollouts": 3, "num_envs": 2, "config": words},
-        },
-        {"name": "exam", "kind": "evaluate", "config": {"task": "grid", "policy": told, "episodes": 2}},
-    ]
-    run = new_run(data_dir, "pipeline", {"steps": steps}, **addresses)
-    run.check()
-    assert run.do()
-    assert run.rows[-1]["step"] == 2 + 3 + 4 + 2
-    result = run.artifact("exam.result.json")
-    assert (result["goal_text"], result["model"]["version"]) == ("pick up all", run.model.version)
-    teachers = run.artifact("student.dataset.json")["teachers"]
-    assert [each["sha256"] for each in teachers] == [run.artifact("teacher.policy.json")["sha256"]]
 
 
 def test_a_step_that_builds_on_an_earlier_one_is_taken_and_one_that_builds_on_a_later_one_is_refused(
