@@ -49,6 +49,11 @@ class Faulty:
     def process(self) -> psutil.Process:
         return psutil.Process(self.service.process.pid)
 
+    @property
+    def jobs(self) -> list[psutil.Process]:
+        """The child processes of its fits and runs that have not ended."""
+        return [each for each in self.process.children(recursive=True) if _is_job(each)]
+
     def trajectory(self, brightness: Sequence[int] = (0, 1), *, fault: str = "right", hundredths: int = 0) -> Any:
         """Returns a request, of one timestep for each brightness, that asks for a fault or for time."""
         frames = np.zeros((len(brightness), 4, 4, 3), np.uint8)
@@ -81,6 +86,14 @@ class Faulty:
         """Returns what comes back for bytes until the connection is closed by the other side."""
         with self.connect(timeout_s) as connection:
             return exchange(connection, data)
+
+
+def _is_job(process: psutil.Process) -> bool:
+    names = {name[:15] for name in ("segmentation.fit", "orchestrator.runs")}  # as /proc tells them
+    try:
+        return process.name() in names and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
 
 
 def tensor(array: "np.ndarray[Any, Any]") -> dict[str, Any]:

@@ -12,12 +12,14 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from freerein.fork_server import ForkServer, StartChild, spawn
 from freerein.serving.health import Health
 from freerein.serving.learned import LearnedSettings
 from freerein.serving.lifecycle import Service, run
@@ -75,13 +77,16 @@ def publish_model(data_dir: Path) -> None:
         store.activate(store.publish("", folder))
 
 
-def build_faulty(settings: LearnedSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
+def build_faulty(
+    settings: LearnedSettings, limits: Limits, metrics: Metrics, health: Health, *, start_child: StartChild = spawn
+) -> Service:
     """Returns the service."""
     publish_model(settings.data_dir)
     gate = settings.data_dir / "gate"
     if not gate.exists():
         os.mkfifo(gate)
-    return build(settings, limits, metrics, health, load=lambda _folder, _device: load(gate))
+    loaded = partial(build, load=lambda _folder, _device: load(gate), start_child=start_child)
+    return loaded(settings, limits, metrics, health)
 
 
 def load(gate: Path) -> FaultyModel:
@@ -106,4 +111,5 @@ def write_down_what_is_touched(path: str) -> None:
 if __name__ == "__main__":
     if audit := os.environ.get("FAULTY_AUDIT"):
         write_down_what_is_touched(audit)
-    raise SystemExit(run(NAME, LearnedSettings, build_faulty))
+    fork_server = ForkServer.fork()
+    raise SystemExit(run(NAME, LearnedSettings, partial(build_faulty, start_child=fork_server.start)))

@@ -1,6 +1,6 @@
 """All five services as `freerein up` runs them, stopped under load and killed: no accepted call is lost.
 
-FREEREIN_FUZZ=1 stops and kills every service.
+`test_lifecycle.py` proves the same of one service, `test_kill_matrix.py` of a run whose services are killed at once.
 """
 
 import asyncio
@@ -36,8 +36,8 @@ from freerein.types.reward import RewardRequest
 from freerein.types.segmentation import SegmentRequest
 from freerein.types.sim import DemonstrateRequest
 
-pytestmark = [pytest.mark.e2e, pytest.mark.asyncio(loop_scope="module")]
-HERE, FUZZ = Path(__file__).parent, os.environ.get("FREEREIN_FUZZ") == "1"
+pytestmark = [pytest.mark.e2e, pytest.mark.long, pytest.mark.asyncio(loop_scope="module")]
+HERE = Path(__file__).parent
 MODULES = {
     "sim": "freerein_sim",
     "segmentation": "faulty_service",
@@ -158,7 +158,7 @@ async def until(stack: Stack, holds: Callable[[], bool], within_s: float) -> flo
 
 @pytest.mark.fault("C18")
 @pytest.mark.fault("G7")
-@pytest.mark.parametrize("name", list(MODULES)[:4] if FUZZ else ["sim", "reward"])  # others: lifecycle tests
+@pytest.mark.parametrize("name", list(MODULES)[:4])
 async def test_on_sigterm_a_service_answers_accepted_calls_and_refuses_new_ones(
     stack: Stack, probes: dict[str, Probe], repeats: int, name: str
 ) -> None:
@@ -265,7 +265,7 @@ async def test_on_sigterm_the_orchestrator_ends_streams_and_its_run_resumes_at_t
 
 @pytest.mark.fault("C19")
 @pytest.mark.fault("G6")
-@pytest.mark.parametrize("name", MODULES if FUZZ else ["reward", "orchestrator"])  # others: lifecycle tests
+@pytest.mark.parametrize("name", MODULES)
 async def test_a_killed_service_is_soon_back_and_retries_succeed(
     stack: Stack, probes: dict[str, Probe], repeats: int, name: str
 ) -> None:

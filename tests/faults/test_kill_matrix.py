@@ -1,7 +1,4 @@
-"""Any process killed at any moment: the final policy has the same bits as that of an undisturbed run.
-
-FREEREIN_FUZZ=1 pytest tests/faults/test_kill_matrix.py -v --durations=0    every process at every moment
-"""
+"""Any process killed at any moment: the final policy has the same bits as that of an undisturbed run."""
 
 import asyncio
 import hashlib
@@ -25,7 +22,7 @@ from freerein.errors import Unavailable
 from freerein.types.orchestrator import GetArtifactRequest, Run, RunKind, StartRunRequest, WatchRunRequest
 
 pytestmark = [pytest.mark.e2e, pytest.mark.asyncio(loop_scope="module")]
-HERE, FUZZ = Path(__file__).parent, os.environ.get("FREEREIN_FUZZ") == "1"
+HERE = Path(__file__).parent
 MODULES = {"sim": "freerein_sim", "reward": "faulty_reward", "orchestrator": "freerein_orchestrator"}
 TINY = {
     "task": "grid",
@@ -44,10 +41,11 @@ TINY = {
 }
 ROLLOUTS, TIMEOUT_S = 8, 500.0
 POLICY = "policy.safetensors"
-PPO = list(itertools.product(("sim", "reward", "child", "orchestrator", "all"), ("collecting", "committing")))
+PPO = [
+    pytest.param(*case, marks=() if case == ("all", "collecting") else pytest.mark.long)
+    for case in itertools.product(("sim", "reward", "child", "orchestrator", "all"), ("collecting", "committing"))
+]
 DISTILL = list(itertools.product(("sim", "imitation", "child", "orchestrator", "all"), ("collecting", "fitting")))
-if not FUZZ:
-    PPO, DISTILL = [("all", "collecting")], []
 
 
 @dataclass(frozen=True)
@@ -117,8 +115,11 @@ async def until(folder: Path, pattern: str, count: int) -> None:
 
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
-async def running(tmp_path_factory: pytest.TempPathFactory, reserve_ports: Any) -> AsyncIterator[Running]:
-    modules = {**MODULES, "imitation": "freerein_imitation"} if FUZZ else MODULES
+async def running(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, reserve_ports: Any
+) -> AsyncIterator[Running]:
+    distils = any("student" in item.fixturenames for item in request.session.items)
+    modules = {**MODULES, "imitation": "freerein_imitation"} if distils else MODULES
     data_dir, ports = tmp_path_factory.mktemp("matrix"), reserve_ports(modules)
     mine = {
         "PYTHONPATH": os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH")))),
@@ -193,6 +194,7 @@ def distilled(teacher: str, name: str) -> dict[str, Any]:
 @pytest.mark.fault("O2")
 @pytest.mark.fault("G4")
 @pytest.mark.fault("G5")
+@pytest.mark.long
 @pytest.mark.parametrize(("victim", "moment"), DISTILL)
 async def test_a_killed_distillation_ends_with_the_same_student(
     running: Running, undisturbed: str, student: str, victim: str, moment: str
