@@ -105,6 +105,16 @@ def test_what_came_with_freerein_is_found_after_what_was_fitted(
     assert not (tmp_path / "shipped" / "default" / ours.version).exists()
 
 
+def test_a_model_has_the_time_of_its_publication_and_one_that_came_with_freerein_none(
+    tmp_path: Path, store: ModelStore, publish: Publish
+) -> None:
+    publish("a", "theirs", where=ModelStore(tmp_path / "shipped"))
+    ours = publish("b", "ours")
+    times_ns = {model.ref.name: model.time_ns for model in store.models()}
+    assert times_ns == {"ours": (tmp_path / "models" / "ours" / ours.version).stat().st_mtime_ns, "theirs": 0}
+
+
+
 @pytest.mark.parametrize("damage", ["flip", "shorten", "delete", "manifest", "no manifest"])
 def test_a_damaged_model_is_refused(store: ModelStore, publish: Publish, damage: str) -> None:
     ref = publish("weights")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
-from freerein.serving.model_store import DEFAULT_NAME, ModelStore, model_card, published_ns
+from freerein.serving.model_store import DEFAULT_NAME, ModelStore, model_card
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import (
     ActivateModelRequest,
@@ -106,7 +106,7 @@ class ModelCache(Generic[M]):
         await self._get(ref)
         folder = await asyncio.to_thread(self._store.folder, ref)  # checks the files again
         await asyncio.to_thread(self._store.activate, ref, expected_current=request.expected_current)
-        return ActivateModelResponse(Model(ref, True, model_card(folder), published_ns(folder)))
+        return ActivateModelResponse(Model(ref, True, model_card(folder), self._store.published_ns(folder)))
 
     async def _get(self, ref: ModelRef) -> M:
         if ref not in self._loaded:

@@ -97,7 +97,7 @@ class ModelStore:
                     found.setdefault(ModelRef(folder.name, path.name), path)
         by_name = sorted(found.items(), key=lambda entry: entry[0].name)  # stable: newest first within a name
         return tuple(
-            Model(ref, self.active_version(ref.name) == ref.version, model_card(path), published_ns(path))
+            Model(ref, self.active_version(ref.name) == ref.version, model_card(path), self.published_ns(path))
             for ref, path in by_name
         )
 
@@ -120,6 +120,10 @@ class ModelStore:
             )
         return folder
 
+    def published_ns(self, folder: Path) -> int:
+        """Returns when the version in a folder was published, Unix time in nanoseconds; 0 for a shipped one."""
+        return folder.stat().st_mtime_ns if folder.is_relative_to(self._root) else 0
+
     def _find(self, ref: ModelRef) -> Path:
         check_name(ref.name, field="model.name")
         check_name(ref.version, field="model.version")
@@ -132,11 +136,6 @@ class ModelStore:
             field="model",
             hint="GET /v1/list-models lists them.",
         )
-
-
-def published_ns(folder: Path) -> int:
-    """Returns when a model was published, Unix time in nanoseconds."""
-    return folder.stat().st_mtime_ns
 
 
 def model_card(folder: Path) -> dict[str, Any]:

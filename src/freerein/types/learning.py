@@ -119,7 +119,7 @@ class Model:
         ref: Its name and version.
         active: Whether this version answers requests that name none.
         card: What it was trained on, how, with which figures.
-        time_ns: When it was published, Unix time in nanoseconds.
+        time_ns: When it was published, Unix time in nanoseconds; 0 for one that comes with freerein.
     """
 
     ref: ModelRef

@@ -490,7 +490,7 @@ class Model(_message.Message):
     active: _builtins.bool
     """Whether this version answers requests that name none."""
     time_ns: _builtins.int
-    """When it was published, Unix time in nanoseconds."""
+    """When it was published, Unix time in nanoseconds; 0 for a model that comes with freerein."""
     @_builtins.property
     def ref(self) -> _common_pb2.ModelRef:
         """Its name and version."""
