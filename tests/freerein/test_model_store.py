@@ -114,7 +114,6 @@ def test_a_model_has_the_time_of_its_publication_and_one_that_came_with_freerein
     assert times_ns == {"ours": (tmp_path / "models" / "ours" / ours.version).stat().st_mtime_ns, "theirs": 0}
 
 
-
 @pytest.mark.parametrize("damage", ["flip", "shorten", "delete", "manifest", "no manifest"])
 def test_a_damaged_model_is_refused(store: ModelStore, publish: Publish, damage: str) -> None:
     ref = publish("weights")
