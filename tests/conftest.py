@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -145,20 +145,35 @@ class _ServicesForkServer(ForkServer):
 _fork_server = cache(_ServicesForkServer)
 
 
+def _run_to_end(module: str, arguments: Sequence[str], environ: Mapping[str, str]) -> tuple[int, str]:
+    """Runs `python -m module`, forked, with a standard input that stays open; returns exit code and standard error."""
+    stdin, held = (os.fdopen(fd, mode) for fd, mode in zip(os.pipe(), ("rb", "wb"), strict=True))
+    with stdin, held, tempfile.TemporaryFile() as stderr, Path(os.devnull).open("wb") as stdout:
+        whole = {**os.environ, **_SERVICE_ENVIRON, **environ}
+        program = Program(module, arguments, whole, stdin.fileno(), stdout.fileno(), stderr.fileno())
+        code = _fork_server().start(program).wait(_START_S)
+        stderr.seek(0)
+        return code, stderr.read().decode()
+
+
 @pytest.fixture(scope="session")
 def run_badly() -> Callable[..., tuple[int, str]]:
     """A function that runs a service that should not start, and returns its exit code and its standard error."""
 
     def run(module: str, data_dir: Path, **environ: str) -> tuple[int, str]:
         ports = {"FREEREIN_HTTP_PORT": "0", "FREEREIN_GRPC_PORT": "0", "FREEREIN_DATA_DIR": str(data_dir)}
-        whole = {**os.environ, **_SERVICE_ENVIRON, **ports, **environ}
-        with tempfile.TemporaryFile() as stderr, Path(os.devnull).open("r+b") as null:
-            program = Program(module, (), whole, null.fileno(), null.fileno(), stderr.fileno())
-            code = _fork_server().start(program).wait(_START_S)
-            stderr.seek(0)
-            return code, stderr.read().decode()
+        return _run_to_end(module, (), {**ports, **environ})
 
     return run
+
+
+@pytest.fixture(scope="session")
+def run_child() -> Callable[..., tuple[int, str]]:
+    """A function that runs the child process of a job, such as `run_child("freerein_reward.fit", FOLDER, ...)`.
+
+    It returns its exit code and its standard error.
+    """
+    return lambda module, *arguments: _run_to_end(module, [str(each) for each in arguments], {})
 
 
 @pytest.fixture(scope="session")

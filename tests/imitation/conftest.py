@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
@@ -79,7 +78,7 @@ async def core(policies: Any, tmp_path: Path) -> AsyncIterator[Core]:
 
 
 @pytest.fixture(scope="session")
-def run_fit() -> Callable[..., Path]:
+def run_fit(run_child: Callable[..., tuple[int, str]]) -> Callable[..., Path]:
     """Runs a fit in a child process to its end; returns the model's folder."""
 
     def run(data_dir: Path, dataset: str, values: dict[str, Any]) -> Path:
@@ -87,11 +86,7 @@ def run_fit() -> Callable[..., Path]:
         folder.mkdir()
         config = METHODS.resolve(data_dir, dataset, values, threads=1)
         (folder / "config.json").write_text(json.dumps({"dataset": dataset, "config": config}))
-        command = [sys.executable, "-m", "freerein_imitation.fit", str(folder), str(data_dir), "cpu"]
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
-            assert child.stderr is not None
-            stderr = child.stderr.read()  # a fit ends when its standard input is closed
-            assert (child.wait(), stderr) == (0, "")
+        assert run_child("freerein_imitation.fit", folder, data_dir, "cpu") == (0, "")
         return folder / "model"
 
     return run

@@ -35,7 +35,7 @@ CAMERAS = (Camera("front", SIDE, SIDE, 3),)
 ACTION = ActionSpec(2, 0, ("down", "right"))
 CONTROL = ControlSpec(0.1, 0.5, 12)
 FAST = GoalCloningConfig(
-    steps=400, lr=5e-3, features=40, hidden_size=64, evaluate_every=100, close_steps=6, far_steps=8
+    steps=200, batch_size=4, lr=5e-3, features=40, hidden_size=64, evaluate_every=100, close_steps=6, far_steps=8
 )
 
 
@@ -71,7 +71,7 @@ def hands_of(exploration: Trajectories) -> npt.NDArray[np.float32]:
     return np.cumsum(actions, axis=0) - actions
 
 
-def learner(config: GoalCloningConfig = FAST, *, action: ActionSpec = ACTION, count: int = 60) -> GoalCloningLearner:
+def learner(config: GoalCloningConfig = FAST, *, action: ActionSpec = ACTION, count: int = 40) -> GoalCloningLearner:
     data = [explore(count, seed=0), explore(10, seed=1)]
     if action.choices:
         data = [

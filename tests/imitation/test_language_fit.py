@@ -1,4 +1,7 @@
-"""A fit of a language policy, from a dataset to `Act` with a sentence."""
+"""A fit of a language policy, from a dataset to `Act` with a sentence, and how it reads texts.
+
+One meaning has one code, however it is said and whatever it names.
+"""
 
 import json
 import shutil
@@ -7,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from freerein.data import DatasetSpec, create, dataset_path
@@ -20,6 +24,9 @@ from freerein.types.imitation import ActRequest, GetSpecRequest
 from freerein_imitation.core import ActService, PolicyRunner
 from freerein_imitation.methods import METHODS, language
 from freerein_imitation.training import minilm
+
+Vector = npt.NDArray[np.float32]
+Encode = Callable[[str], Vector]
 
 TEXTS = ("open the gripper", "close the gripper")
 ACTION = ActionSpec(1, 0, ("gripper",), "m", (0.02,))
@@ -138,3 +145,67 @@ def test_a_goal_is_given_up_after_as_many_steps_as_were_ever_seen_unless_told_ot
         METHODS.resolve(tmp_path, "play", {**FAST, **more}, threads=1) for more in ({}, {"max_steps_per_goal": 7})
     ]
     assert [each["max_steps_per_goal"] for each in resolved] == [10, 7]
+
+
+# --- reading
+
+HELD_OUT = (
+    "{0} {side} of {1}",
+    "the {0} block goes to the {side} of the {1} one",
+    "I want the {0} block {side} of the {1} one",
+    "a {0} block on the {side} of a {1} block",
+    "could you place the {0} cube to the {side} of the {1} cube?",
+    "Arrange the blocks so that {0} is {side} of {1}!",
+    "MOVE THE {0} BLOCK TO THE {side} OF THE {1} BLOCK",
+    "A {1} block to the {other} of a {0} block",
+    "the {1} cube stays on the {other} side of the {0} cube",
+    "slide the {1} one to the {other} of the {0} one",
+    "make {1} sit {other} of {0}, please",
+)
+"""Wordings and converses of which no text that a reader is trained on has the words."""
+
+NO_STATEMENTS = ("dance", "put the yellow block away", "what time is it?", "", "the green block")
+
+
+@pytest.fixture(scope="module")
+def encode(folder: Path) -> Encode:
+    """The codes of the fitted model's reader."""
+    policy: Any = METHODS.load(folder, "cpu")
+    return lambda text: policy.encode_goals([text])[0]
+
+
+def statement(first: str, side: str, second: str) -> str:
+    return f"a {first} block to the {side} of a {second} block"
+
+
+def test_nine_of_ten_held_out_wordings_and_converses_have_the_code_of_their_meaning(encode: Encode) -> None:
+    right = []
+    for colours in (("yellow", "green"), ("green", "yellow"), ("blue", "red"), ("red", "blue")):
+        codes = [encode(statement(colours[0], side, colours[1])) for side in ("left", "right")]
+        for wording in HELD_OUT:
+            left = place_between(*codes, encode(wording.format(*colours, side="left", other="right")))
+            mirrored = place_between(*codes, encode(wording.format(*colours, side="right", other="left")))
+            right += [left > 0.8, mirrored < -0.8]
+    assert np.mean(right) >= 0.9
+
+
+def test_a_converse_differs_in_what_is_to_be_moved_and_less_than_any_other_goal(encode: Encode) -> None:
+    goal, converse = encode(statement("red", "left", "green")), encode(statement("green", "right", "red"))
+    others = [
+        encode(statement(*other))
+        for other in (("red", "right", "green"), ("red", "left", "yellow"), ("black", "left", "green"))
+    ]
+    difference = float(np.linalg.norm(goal - converse))
+    assert 0 < difference < min(float(np.linalg.norm(goal - other)) for other in others)
+
+
+def test_what_states_no_relation_is_between_all_statements(encode: Encode) -> None:
+    left, right = (encode(statement("yellow", side, "green")) for side in ("left", "right"))
+    for text in (*NO_STATEMENTS, statement("red", "left", "blue"), "a yellow block on top of a green block"):
+        assert abs(place_between(left, right, encode(text))) < 0.2, text
+
+
+def place_between(left: Vector, right: Vector, code: Vector) -> float:
+    """Returns 1 for the code `left`, -1 for `right`, and 0 for what is as near to one as to the other."""
+    axis = (left - right) / 2
+    return float((code - (left + right) / 2) @ axis / (axis**2).sum())

@@ -18,6 +18,7 @@ from freerein_imitation.methods import METHODS
 from freerein_imitation.model.language import LanguagePolicy
 from freerein_imitation.model.policy import NEVER_REACHED, ControlSpec
 from freerein_imitation.model.text_encoder import TextEncoder
+from freerein_imitation.training import goal_text_reader
 from freerein_imitation.training.goal_texts import GoalTextDataset, random_shift, split_by_text
 from freerein_imitation.training.language import LanguageConfig, LanguageLearner
 
@@ -26,6 +27,13 @@ CAMERAS = (Camera("front", 12, 12, 3),)
 ACTION = ActionSpec(2, 0, ("right", "up"))
 FAST = LanguageConfig(steps=60, batch_size=32, lr=1e-2, warmup_steps=3, evaluate_every=30, checkpoint_every=25)
 TEXTS = ("red left", "left red")  # to the right, and to the left
+
+
+@pytest.fixture(autouse=True)
+def _quick_reader(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader of goal texts that has hardly learned: two texts have two codes all the same."""
+    monkeypatch.setattr(goal_text_reader, "_TEXTS", 200)
+    monkeypatch.setattr(goal_text_reader, "_STEPS", 20)
 
 
 def roll_out(count: int, *, texts: Sequence[str] = TEXTS, seed: int = 0) -> Trajectories:

@@ -48,10 +48,11 @@ CONFIG: dict[str, Any] = {
     "memory": 1,
     "chunk": 1,
     "shift": 0,
-    "steps": 400,
+    "steps": 150,
     "batch_size": 8,
-    "lr": 5e-3,
-    "evaluate_every": 100,
+    "span": 8,
+    "lr": 1e-2,
+    "evaluate_every": 50,
 }
 Floats = npt.NDArray[np.float32]
 
@@ -131,7 +132,7 @@ def model(data_dir: Path, run_fit: Callable[..., Path]) -> Path:
 def blind(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> SkillCloningPolicy:
     """A policy that was fitted without."""
     source, method = FitDataset.open(data_dir, "arm"), METHODS.by_name["skill_cloning"]
-    config = method.config.from_mapping({**CONFIG, "cameras": ["front"]})
+    config = method.config.from_mapping({**CONFIG, "cameras": ["front"], "steps": 50})
     learner = method.prepare(source, config, torch.device("cpu"))
     fitted = fit(learner, tmp_path_factory.mktemp("fit"))
     assert fitted is not None

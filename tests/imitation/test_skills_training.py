@@ -89,16 +89,35 @@ def learner(config: SkillsConfig = FAST) -> SkillsLearner:
     return prepare(demonstrations, labels, config=config)
 
 
-@pytest.fixture(scope="module")
-def policy(tmp_path_factory: pytest.TempPathFactory) -> SkillsPolicy:
-    cloned = learner(replace(FAST, steps=2000))  # whatever the seed and the processor's rounding
-    fitted = fit(cloned, tmp_path_factory.mktemp("fit"))
+def policy_of(config: SkillsConfig, folder: Path) -> SkillsPolicy:
+    cloned = learner(config)
+    fitted = fit(cloned, folder)
     assert fitted is not None
     cloned.calibrate(fitted.network)
     return SkillsPolicy(fitted.network, ControlSpec(0.1, 0.5, cloned.max_steps_per_skill))
 
 
-def test_recipes_never_demonstrated_are_executed(policy: SkillsPolicy) -> None:
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> SkillsPolicy:
+    return policy_of(replace(FAST, steps=600, lr=1e-2, evaluate_every=300), tmp_path_factory.mktemp("fit"))
+
+
+def test_each_skill_moves_the_hand_towards_its_own_block(policy: SkillsPolicy) -> None:
+    rng, right = np.random.default_rng(2), []
+    for _ in range(40):
+        hand, red, blue = rng.uniform(2, SIDE - 3), rng.uniform(2, 10), rng.uniform(13, SIDE - 3)
+        start = np.zeros((2, 1), np.float32), np.zeros((2, policy.spec.recurrent_size), np.float32)
+        step = policy.step(
+            {"front": picture(hand, red, blue)[None].repeat(2, axis=0)}, policy.encode_goals(SKILLS), *start
+        )
+        for moved, goal in zip(step.actions[:, 0, 0], (red, blue), strict=True):
+            right += [np.sign(moved) == np.sign(goal - hand)] * (abs(goal - hand) > STEP)
+    assert np.mean(right) > 0.85
+
+
+@pytest.mark.long
+def test_recipes_never_demonstrated_are_executed(tmp_path: Path) -> None:
+    policy = policy_of(replace(FAST, steps=2000), tmp_path)  # whatever the seed and the processor's rounding
     hand, red, blue = 20.0, 5.0, 17.0
     previous = np.zeros((1, 1), np.float32)
     for skill, goal in (("to-red", red), ("to-blue", blue), ("to-red", red)):

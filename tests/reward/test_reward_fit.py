@@ -1,6 +1,5 @@
 import json
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -51,17 +50,14 @@ def data_dir(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone(data_dir: Path) -> None:
+def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone(
+    data_dir: Path, run_child: Callable[..., tuple[int, str]]
+) -> None:
     folder = data_dir / "work"
     folder.mkdir()
     config = METHODS.resolve(data_dir, "squares", FAST, threads=1, grounding=GROUNDING)
     (folder / "config.json").write_text(json.dumps({"dataset": "squares", "config": config}))
-    arguments = [str(folder), str(data_dir), "cpu", str(GROUNDING)]
-    command = [sys.executable, "-m", "freerein_reward.fit", *arguments]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
-        assert child.stderr is not None
-        stderr = child.stderr.read()  # a fit ends when its standard input is closed
-        assert (child.wait(), stderr) == (0, "")
+    assert run_child("freerein_reward.fit", folder, data_dir, "cpu", GROUNDING) == (0, "")
     model = load(folder / "model", "cpu")
     assert isinstance(model, DualEncoderModel)
     assert not isinstance(model, GradCamModel)
