@@ -1,17 +1,16 @@
-"""`make test` runs the benchmarks that take seconds; `make fuzz` runs all."""
+"""The benchmarks run, and what is promised of speed has a bar."""
 
 import json
 import math
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+pytestmark = [pytest.mark.e2e, pytest.mark.long]
 ROOT = Path(__file__).parents[2]
-FUZZ = os.environ.get("FREEREIN_FUZZ") == "1"
-KINDS = {"render", "sim", "envs", "segment", "batcher", "reward", *(("act", "control", "ppo") if FUZZ else ())}
+KINDS = {"render", "sim", "envs", "segment", "batcher", "reward", "act", "control", "ppo"}
 PROMISED = {
     "render.blocks_vs_stock",
     "render.blocks_vs_stock_without_shadows",
@@ -35,7 +34,6 @@ PROMISED = {
 
 @pytest.mark.fault("G1")
 @pytest.mark.fault("G3")
-@pytest.mark.e2e
 def test_benchmarks_run_and_what_is_promised_has_a_bar(tmp_path: Path) -> None:
     out = tmp_path / "summary.json"
 
@@ -49,8 +47,6 @@ def test_benchmarks_run_and_what_is_promised_has_a_bar(tmp_path: Path) -> None:
     assert with_bar == {name for name in PROMISED if name.partition(".")[0] in KINDS}
 
 
-@pytest.mark.skipif(not FUZZ, reason="a long test: make fuzz")
-@pytest.mark.e2e
 def test_the_benchmark_of_training_runs_and_finds_equal_losses(tmp_path: Path) -> None:
     out = tmp_path / "summary.json"
 
@@ -62,8 +58,6 @@ def test_the_benchmark_of_training_runs_and_finds_equal_losses(tmp_path: Path) -
     assert all(math.isfinite(ratio["value"]) for ratio in ratios.values())
 
 
-@pytest.mark.skipif(not FUZZ, reason="a long test: make fuzz")
-@pytest.mark.e2e
 def test_the_benchmark_beside_peers_runs_where_they_can_be_installed(tmp_path: Path) -> None:
     out = tmp_path / "summary.json"
 

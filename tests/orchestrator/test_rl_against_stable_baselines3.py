@@ -1,7 +1,6 @@
 """What ours and stable-baselines3 must have in common: advantages, losses, gradients, and what is learnt in the end."""
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -125,7 +124,6 @@ def _theirs(task: str, network: ActorCritic, batch: Batch) -> tuple[float, dict[
 
 
 @pytest.mark.long
-@pytest.mark.skipif(os.environ.get("FREEREIN_FUZZ") != "1", reason="a long test: make fuzz")
 def test_the_cart_pole_is_learnt_as_fast_as_by_stable_baselines3() -> None:
     ours, theirs = (
         np.array([curve(replace(CARTPOLE, seed=seed)) for seed in range(4)]) for curve in (_curve, _their_curve)
