@@ -1,8 +1,7 @@
 """A dataset of a user's own robot: actions in any unit, a report of its fit, and true labels that no fit sees."""
 
 import json
-import subprocess
-import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -21,6 +20,7 @@ from freerein_segmentation.model import ModelSpec, SegmentationModel, Segmentati
 SKILLS = ("push", "turn")
 ACTION = ActionSpec(1, 0, ("v",))
 Fitted: TypeAlias = tuple[SegmentationModel, dict[str, Any]]
+Fit: TypeAlias = Callable[..., Fitted]
 STEPS = {"steps": 60, "hidden_size": 8, "features": 8, "augmentation": 0.0, "lr": 1e-2, "validation_fraction": 0.3}
 
 
@@ -40,18 +40,22 @@ def record(data_dir: Path, *, scaled: bool) -> Path:
     return root
 
 
-def fit(data_dir: Path, folder: Path, **changes: Any) -> Fitted:
-    folder.mkdir()
-    config = METHODS.resolve(data_dir, "demos", {**STEPS, **changes}, threads=1)
-    (folder / "config.json").write_text(json.dumps({"dataset": "demos", "config": config, "steps": STEPS["steps"]}))
-    command = [sys.executable, "-m", "freerein_segmentation.fit", folder, data_dir, "cpu"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE) as child:  # it lives as long as its standard input
-        assert child.wait(500) == 0
-    return METHODS.load(folder / "model", "cpu"), json.loads((folder / "model" / "card.json").read_text())
+@pytest.fixture(scope="session")
+def fit(run_child: Callable[..., tuple[int, str]]) -> Fit:
+    """Fits in a child process, into a folder; returns the model and its card."""
+
+    def run(data_dir: Path, folder: Path, **changes: Any) -> Fitted:
+        folder.mkdir()
+        config = METHODS.resolve(data_dir, "demos", {**STEPS, **changes}, threads=1)
+        (folder / "config.json").write_text(json.dumps({"dataset": "demos", "config": config, "steps": STEPS["steps"]}))
+        assert run_child("freerein_segmentation.fit", folder, data_dir, "cpu")[0] == 0
+        return METHODS.load(folder / "model", "cpu"), json.loads((folder / "model" / "card.json").read_text())
+
+    return run
 
 
 @pytest.fixture(scope="module")
-def fitted(tmp_path_factory: pytest.TempPathFactory) -> Fitted:
+def fitted(tmp_path_factory: pytest.TempPathFactory, fit: Fit) -> Fitted:
     """A fit to actions in a unit of their own."""
     folder = tmp_path_factory.mktemp("data")
     record(folder, scaled=False)
@@ -98,7 +102,7 @@ def test_the_card_says_how_well_tags_of_held_out_trajectories_are_told(fitted: F
 
 @pytest.mark.parametrize("final_objective", ["none", "self_training"])
 def test_a_fit_warns_where_only_the_last_frame_tells_the_tags(
-    final_objective: str, fitted: Fitted, tmp_path: Path
+    final_objective: str, fitted: Fitted, fit: Fit, tmp_path: Path
 ) -> None:
     spec = DatasetSpec(10, {"top": (8, 8, 3)}, ACTION, "toy", SKILLS)
     with create(dataset_path(tmp_path, "demos"), spec) as writer:
@@ -114,7 +118,7 @@ def test_a_fit_warns_where_only_the_last_frame_tells_the_tags(
     assert fitted[1]["warnings"] == []
 
 
-def test_a_fit_is_the_same_to_the_bit_whatever_its_true_labels_say(tmp_path: Path) -> None:
+def test_a_fit_is_the_same_to_the_bit_whatever_its_true_labels_say(fit: Fit, tmp_path: Path) -> None:
     root = record(tmp_path, scaled=True)
     _, without = fit(tmp_path, tmp_path / "without")
     assert label(root, b"trajectory,start,end,skill\n0,0,4,turn\n1,0,4,push\n2,0,8,push\n") == 3  # all wrong
