@@ -25,7 +25,7 @@ PIXELS = 4  # that the disc moves by the greatest action, in a timestep
 IMAGE = {"dtype": "image", "shape": [HEIGHT, WIDTH, 3], "names": ["height", "width", "channels"]}
 VECTOR = {"dtype": "float32", "shape": [2], "names": list(JOINTS)}
 
-pytestmark = [pytest.mark.e2e, pytest.mark.long]
+pytestmark = pytest.mark.e2e
 Shell = Callable[[str], str]
 
 

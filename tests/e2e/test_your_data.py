@@ -18,7 +18,7 @@ from freerein_reward.relations import SpatialRelation, classify_relation
 RED, BLUE, GRAY = (215, 30, 30), (30, 70, 220), (120, 124, 130)
 SIDE, STEPS, SKILLS = 32, 12, ("pour", "reach")
 
-pytestmark = [pytest.mark.e2e, pytest.mark.long]
+pytestmark = pytest.mark.e2e
 Discs = Sequence[tuple[float, float, tuple[int, int, int]]]
 Shell = Callable[[str], str]
 
@@ -79,9 +79,9 @@ def test_images_and_phrases_become_rewards(shell: Shell, block_with: Shell, tmp_
         draw(path, [(*first, RED), (*second, BLUE)], radius=6, size=(96, 96))
         return np.stack([first, second]) / 96
 
-    for index in range(200):
+    for index in range(160):
         scene(tmp_path / "photos" / f"{index}.png")
-    held_out = [scene(tmp_path / "held-out" / f"{index:02d}.png") for index in range(80)]
+    held_out = [scene(tmp_path / "held-out" / f"{index:02d}.png") for index in range(60)]
 
     printed = shell(block_with("fit reward --images"))
     assert "a red ball on top of a blue ball" in printed  # the goal text of curl, as it was read
