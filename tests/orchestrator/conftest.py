@@ -112,7 +112,7 @@ class LooseRun:
 NewRun = Callable[..., LooseRun]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def new_run(fork_child: StartChild) -> NewRun:
     """A function that makes a run: `new_run(data_dir, "fit", {"dataset": ...}, FREEREIN_SIM_ADDRESS=...)`."""
 

@@ -8,7 +8,6 @@ import shutil
 import signal
 import sqlite3
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -19,37 +18,33 @@ import psutil
 import psycopg
 import pytest
 
+from freerein.fork_server import Program, StartChild
 from freerein.jobs.attempt import CANCELLED_FILE
 
 pytestmark = pytest.mark.e2e
-HERE = Path(__file__).parent
+_MODULE = "tests.orchestrator.toy_worker"
 Reply = Any
 
 
 class Worker:
     """An orchestrator process without REST and gRPC, on a data directory of its own or shared with others."""
 
-    def __init__(self, data_dir: Path, name: str = "worker", url: str = "") -> None:
+    def __init__(self, start: StartChild, data_dir: Path, name: str = "worker", url: str = "") -> None:
         self.runs = data_dir / "runs"
-        with (data_dir / f"{name}.log").open("ab") as log:
-            self.process = subprocess.Popen(
-                [sys.executable, str(HERE / "toy_worker.py"), str(data_dir), name, url],
-                cwd=HERE,  # `python -m toy_child` finds the child there
-                env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "error"},
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                text=True,
-            )
+        environ = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "error"}
+        (stdin, commands), (replies, stdout) = os.pipe(), os.pipe()
+        self._commands, self._replies = os.fdopen(commands, "w"), os.fdopen(replies)
+        with (data_dir / f"{name}.log").open("ab") as log, os.fdopen(stdin), os.fdopen(stdout):
+            arguments = str(data_dir), name, url
+            self.process = start(Program(_MODULE, arguments, environ, stdin, stdout, log.fileno()))
 
     def opened(self) -> "Worker":
         assert self._reply() == "open"
         return self
 
     def ask(self, do: str, **values: Any) -> Reply:
-        assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps({"do": do, **values}) + "\n")
-        self.process.stdin.flush()
+        self._commands.write(json.dumps({"do": do, **values}) + "\n")
+        self._commands.flush()
         return self._reply()
 
     def start(self, key: str = "", **config: Any) -> str:
@@ -77,27 +72,48 @@ class Worker:
             time.sleep(0.01)
         return self.child(run_id)
 
+    @property
+    def is_closed(self) -> bool:
+        return self._replies.closed
+
+    def worker(self, run_id: str) -> str:
+        """Returns the name of the worker of a run's last attempt."""
+        return (self.runs / run_id / "worker.txt").read_text()
+
     def end(self, number: signal.Signals) -> int:
         self.process.send_signal(number)
         return self.process.wait(60)
 
+    def close(self) -> str:
+        """Kills it, unless it has ended; returns what it still said."""
+        self.end(signal.SIGKILL)
+        self._commands.close()
+        with self._replies:
+            return self._replies.read()
+
     def _reply(self) -> Reply:
-        assert self.process.stdout is not None
-        return json.loads(self.process.stdout.readline())
+        return json.loads(self._replies.readline())
 
 
 @pytest.fixture
-def begin(tmp_path: Path) -> Iterator[Callable[..., Worker]]:
+def new_worker(tmp_path: Path, fork_child: StartChild) -> Iterator[Callable[..., Worker]]:
+    """A function that starts a worker, which may not open."""
     workers: list[Worker] = []
 
-    def begin(name: str = "worker", url: str = "") -> Worker:
-        workers.append(Worker(tmp_path, name, url))
-        return workers[-1].opened()
+    def start(name: str = "worker", url: str = "") -> Worker:
+        workers.append(Worker(fork_child, tmp_path, name, url))
+        return workers[-1]
 
-    yield begin
+    yield start
     for worker in workers:
-        worker.process.kill()
-        worker.process.communicate()
+        if not worker.is_closed:
+            worker.close()
+
+
+@pytest.fixture
+def begin(new_worker: Callable[..., Worker]) -> Callable[..., Worker]:
+    """A function that starts a worker, and returns it when it is open."""
+    return lambda name="worker", url="": new_worker(name, url).opened()
 
 
 class Postgres:
@@ -162,7 +178,9 @@ def test_a_run_is_queued_runs_and_succeeds_and_a_watcher_may_come_back_for_the_r
         "metrics": {"loss": 0.2},  # without what was not finite
         "model": None,
         "error": "",
+        "time_ns": events[-1]["time_ns"],
     }
+    assert [event["time_ns"] for event in events] == sorted(event["time_ns"] for event in events)
     assert worker.watch(run_id, start=2) == events[2:]
     assert (worker.runs / run_id / "artifacts" / "count.txt").read_text() == "5"
     assert [run["id"] for run in worker.ask("list")] == [run_id]
@@ -316,11 +334,11 @@ def test_a_run_goes_on_when_there_is_room_again_for_what_its_attempt_came_to(beg
 
 
 @pytest.mark.fault("O6")
-def test_a_second_worker_of_the_same_name_is_refused(begin, tmp_path):
+def test_a_second_worker_of_the_same_name_is_refused(begin, new_worker):
     begin()
-    second = Worker(tmp_path)
-    assert second.process.communicate(timeout=300) == ("", None)
-    assert second.process.returncode == 3
+    second = new_worker()
+    assert second.process.wait(300) == 3
+    assert second.close() == ""
 
 
 @pytest.mark.fault("O6")
@@ -356,40 +374,31 @@ def test_two_workers_on_one_postgres_share_the_queue_and_take_over_from_each_oth
     waiting = [one.start(wait_at=1), one.start(wait_at=1)]
     for run_id in waiting:
         one.watch(run_id, until_step=1)  # both at once, though each worker makes one at a time
-    children = [one.child(run_id) for run_id in waiting]
-    parents = [child.ppid() for child in children]
-    assert set(parents) == {one.process.pid, two.process.pid}
-
-    of_one, of_two = (waiting[parents.index(worker.process.pid)] for worker in (one, two))
+    by_worker = {one.worker(run_id): run_id for run_id in waiting}
+    of_one, of_two = by_worker["one"], by_worker["two"]
+    child = one.child(of_two)
     assert one.ask("cancel", id=of_two)["state"] == "cancelled"  # though the other has its child
-    children[waiting.index(of_two)].wait(60)
+    child.wait(60)
     one.end(signal.SIGKILL)
     assert two.watch(of_one)[-1]["state"] == "succeeded"
     assert two.steps(of_one) == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.fault("O6")
-def test_a_second_worker_of_the_same_name_on_one_postgres_is_refused(begin, tmp_path, postgres):
+def test_a_second_worker_of_the_same_name_on_one_postgres_is_refused(begin, new_worker, postgres):
     begin("three", postgres.url)
-    second = Worker(tmp_path, "three", postgres.url)
-    assert second.process.communicate(timeout=300) == ("", None)
-    assert second.process.returncode == 3
+    second = new_worker("three", postgres.url)
+    assert second.process.wait(300) == 3
+    assert second.close() == ""
 
 
 @pytest.mark.fault("F12")
-def test_a_postgres_of_another_encoding_ends_the_start_with_one_line_that_says_so(tmp_path, postgres):
+def test_a_postgres_of_another_encoding_ends_the_start_with_one_line_that_says_so(tmp_path, postgres, run_badly):
     with psycopg.connect(postgres.url, autocommit=True) as connection:
         connection.execute("CREATE DATABASE ascii ENCODING 'SQL_ASCII' LOCALE 'C' TEMPLATE template0")
-    settings = {
-        "FREEREIN_DATABASE_URL": postgres.url.replace("/postgres", "/ascii"),
-        "FREEREIN_DATA_DIR": str(tmp_path),
-        "FREEREIN_HTTP_PORT": "0",
-        "FREEREIN_GRPC_PORT": "0",
-    }
-    command = [sys.executable, "-m", "freerein_orchestrator"]
-    with subprocess.Popen(command, env={**os.environ, **settings}, stderr=subprocess.PIPE, text=True) as process:
-        _, stderr = process.communicate(timeout=300)
-    assert process.returncode == 3
+    url = postgres.url.replace("/postgres", "/ascii")
+    code, stderr = run_badly("freerein_orchestrator", tmp_path, FREEREIN_DATABASE_URL=url)
+    assert code == 3
     (line,) = (line for line in stderr.splitlines() if not line.startswith("{"))
     assert line.startswith("cannot start: ")
     assert "must have the encoding UTF8; it has SQL_ASCII" in line

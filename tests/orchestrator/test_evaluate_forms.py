@@ -181,12 +181,22 @@ def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: 
 def test_the_expert_completes_recipes_as_the_world_draws_and_displays_them(
     evaluation: Callable[..., Any], asked: dict[str, Any], skills: int
 ) -> None:
-    run = evaluation(RECIPES | {"policy": "expert", "episodes": 4, "num_envs": 4, **asked})
+    run = evaluation(RECIPES | {"policy": "expert", "num_envs": 2, **asked})
     assert run.do()
     result = run.artifact("result.json")
     assert result["figures"]["skills_completed"]["value"] == result["figures"]["whole"]["value"] == 1
     assert result["figures"]["whole"]["baseline"] == 0
-    assert result["counts"] == {"episodes": 4, "skills": 4 * skills}
+    assert result["counts"] == {"episodes": 2, "skills": 2 * skills}
+
+
+@pytest.mark.e2e
+def test_a_model_of_the_imitation_service_acts_in_several_environments_at_once(evaluation: Callable[..., Any]) -> None:
+    policy = {"model": "skills", "recipe": ["move-red"]}
+    run = evaluation({"task": "blocks.red-left-of-green", "policy": policy, "episodes": 2, "num_envs": 2})
+    assert run.do()
+    result = run.artifact("result.json")
+    assert result["model"]["version"]
+    assert result["recipe"] == ["move-red"]
 
 
 @pytest.mark.e2e

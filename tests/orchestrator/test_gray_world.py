@@ -38,8 +38,9 @@ def test_gray_and_wide_frames_are_collected_fitted_and_labelled(
 ) -> None:
     sim = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", PYTHONPATH=packages)
     segmentation = start_service("freerein_segmentation", tmp_path)
+    demos = {"task": "gray", "dataset": "demos", "count": 2, "max_skills": 2}
     steps = [
-        {"name": "demos", "kind": "collect", "config": {"task": "gray", "dataset": "demos", "count": 2}},
+        {"name": "demos", "kind": "collect", "config": demos},
         {
             "name": "fit",
             "kind": "fit",
@@ -47,7 +48,7 @@ def test_gray_and_wide_frames_are_collected_fitted_and_labelled(
                 "service": "segmentation",
                 "dataset": "demos",
                 "model_name": "gray",
-                "config": {"steps": 2, "batch_size": 2, "features": 8, "hidden_size": 8},
+                "config": {"steps": 1, "batch_size": 1, "features": 8, "hidden_size": 8},
             },
         },
         {"name": "label", "kind": "label", "config": {"dataset": "demos", "model": "gray"}},

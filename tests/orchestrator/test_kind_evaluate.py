@@ -1,4 +1,4 @@
-"""Runs of kind `evaluate`, with the real sim and imitation services."""
+"""Runs of kind `evaluate`, with the real sim service."""
 
 import itertools
 from collections.abc import Callable
@@ -56,19 +56,6 @@ def test_an_evaluation_that_is_stopped_and_whose_sim_is_killed_comes_to_the_same
     assert run.do()
     assert run.artifact("result.json") == undisturbed.artifact("result.json")
     assert run.rows == undisturbed.rows
-
-
-def test_a_model_of_the_imitation_service_acts_in_several_environments_at_once(
-    evaluation: Callable[..., Any], start_service: Callable[..., Any]
-) -> None:
-    imitation = start_service("freerein_imitation")
-    policy = {"model": "skills", "recipe": ["move-red"]}
-    config = {"task": "blocks.red-left-of-green", "policy": policy, "episodes": 2, "num_envs": 2}
-    run = evaluation(config, FREEREIN_IMITATION_ADDRESS=imitation.address)
-    assert run.do()
-    result = run.artifact("result.json")
-    assert result["model"]["version"]
-    assert result["recipe"] == ["move-red"]
 
 
 @pytest.mark.parametrize("stochastic", [False, True])

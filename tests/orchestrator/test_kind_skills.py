@@ -17,7 +17,7 @@ from freerein_orchestrator.kinds.skills import SkillsRunConfig, pipeline_steps
 SMALL = {"batch_size": 2, "features": 8, "hidden_size": 8, "log_every": 1}
 CONFIG = {
     "task": "grid",
-    "count": 6,
+    "count": 4,
     "segmentation": {**SMALL, "steps": 2},
     "policies": {**SMALL, "steps": 2, "min_segment_steps": 1},
     "episodes": 2,
@@ -73,9 +73,9 @@ def test_a_run_goes_from_demonstrations_to_recipes_though_it_is_stopped_between(
     assert segmented.stat().st_mtime_ns == recorded
     steps = [row["name"] for row in run.artifact("steps.json")]
     assert steps == ["demos", "segmentation", "label", "policies", "recipes", "expert"]
-    assert run.rows[-1]["step"] == run.kind.steps(run.config) == 2 * 6 + 2 + 2 + 2 * 2
+    assert run.rows[-1]["step"] == run.kind.steps(run.config) == 2 * 4 + 2 + 2 + 2 * 2
     result = run.artifact("result.json")
-    assert (result["demonstrations"], result["counts"]["episodes"]) == (6, 2)
+    assert (result["demonstrations"], result["counts"]["episodes"]) == (4, 2)
     assert result["models"]["segmentation"] == vars(labels.info(dataset_path(tmp_path, "grid-skills")).model)
     assert result["models"]["policies"] == vars(run.model)
     for name in ("subtask_success", "recipe_success"):

@@ -24,84 +24,76 @@ FAST: Mapping[str, Any] = {
     "task": TASK,
     "conditions": ["start-on-the-way"],
     "explorations": 1,
-    "iterations": 3,
+    "iterations": 2,
     "num_envs": 2,
-    "num_steps": 16,
+    "num_steps": 8,
     "epochs": 1,
-    "batch_size": 16,
+    "batch_size": 8,
     "hidden_size": 8,
 }
 
 
+RUN_ID = "0" * 32
+
+
 @pytest.fixture(scope="module")
-def services(start_module_service: Callable[..., Any]) -> dict[str, Any]:
-    return {
-        "sim": start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1"),
-        "reward": start_module_service("freerein_reward"),
-    }
+def services(mortal: Callable[..., Any], mortal_sim: Any) -> dict[str, Any]:
+    return {"sim": mortal_sim, "reward": mortal("freerein_reward")}
 
 
-@pytest.fixture
-def ppo(new_run: Callable[..., Any], services: dict[str, Any], tmp_path: Path) -> Callable[..., Any]:
-    """A function that makes a run: `ppo("name", services, iterations=1)`."""
-
-    def new(name: str, at: Mapping[str, Any] = services, **config: Any) -> Any:
-        environ = {f"FREEREIN_{service.upper()}_ADDRESS": found.address for service, found in at.items()}
-        return new_run(tmp_path, "ppo", {**FAST, **config}, name=name, **environ)
-
-    return new
+@pytest.fixture(scope="module")
+def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("data")
 
 
-_EXPECTED: list[dict[str, Any]] = []
+@pytest.fixture(scope="module")
+def ppo(new_run: Callable[..., Any], services: dict[str, Any], data_dir: Path) -> Callable[..., Any]:
+    """A function that makes a run: `ppo(iterations=1)`."""
+    environ = {f"FREEREIN_{name.upper()}_ADDRESS": service.address for name, service in services.items()}
+    return lambda name="", **config: new_run(data_dir, "ppo", {**FAST, **config}, name=name, **environ)
 
 
-@pytest.fixture
-def expected(ppo: Callable[..., Any]) -> dict[str, Any]:
-    """The card of an undisturbed run."""
-    if not _EXPECTED:
-        run = ppo("undisturbed")
-        assert run.do()
-        _EXPECTED.append(run.artifact("policy.json"))
-    return _EXPECTED[0]
-
-
-def test_a_run_leaves_a_policy_a_card_and_metrics(ppo: Callable[..., Any]) -> None:
-    run = ppo("run")
+@pytest.fixture(scope="module")
+def trained(ppo: Callable[..., Any]) -> Any:
+    """A run that nothing disturbed."""
+    run = ppo(RUN_ID)
     assert run.do()
-    card = run.artifact("policy.json")
+    return run
+
+
+def test_a_run_leaves_a_policy_a_card_and_metrics(ppo: Callable[..., Any], trained: Any) -> None:
+    card = trained.artifact("policy.json")
     assert card["goal_text"] == "a red block on top of a yellow block"
     assert (card["reward"], card["privileged"], card["model"]["name"]) == ("learned", False, "default")
-    assert card["figures"]["timesteps"] == 2 * (96 + 16)
-    assert [row["step"] for row in run.rows] == [1, 2, 3]
-    assert {"entropy", "approx_kl", "steps_per_s", "recoveries", "rejected", "timesteps"} <= run.rows[0].keys()
-    policy = load_policy(run.folder / "artifacts", device="cpu")
+    assert card["figures"]["timesteps"] == 2 * (32 + 16)
+    assert [row["step"] for row in trained.rows] == [1, 2]
+    assert {"entropy", "approx_kl", "steps_per_s", "recoveries", "rejected", "timesteps"} <= trained.rows[0].keys()
+    policy = load_policy(trained.folder / "artifacts", device="cpu")
     frames, starts = np.zeros((2, 64, 64, 3), np.uint8), np.ones(2, np.bool_)
     assert NetworkPolicy(policy.network).act(frames, starts).shape == (2, 3)
 
-    more = ppo("more", init_from="run", iterations=1)
+    more = ppo(init_from=RUN_ID, iterations=1)
     more.check()
-    ppo("step", init_from="earlier").check("earlier")
+    ppo(init_from="earlier").check("earlier")
     with pytest.raises(InvalidInput):
-        ppo("step", init_from="earlier").check()
+        ppo(init_from="earlier").check()
     assert more.do()
     assert more.artifact("policy.json")["sha256"] != card["sha256"]
 
 
 def test_a_run_s_policy_is_published_and_answers(
-    ppo: Callable[..., Any], start_service: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    trained: Any, start_service: Callable[..., Any], data_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = ppo("0" * 32, iterations=1)
-    assert run.do()
-    service = start_service("freerein_imitation", tmp_path)
+    service = start_service("freerein_imitation", data_dir)
     monkeypatch.setenv("FREEREIN_IMITATION_ADDRESS", service.address)
-    published = CliRunner().invoke(app, ["models", "publish", "0" * 32, "--name", "stack", "--json"])
+    published = CliRunner().invoke(app, ["models", "publish", RUN_ID, "--name", "stack", "--json"])
     model = json.loads(published.stdout)
     assert (model["ref"]["name"], model["active"], model["card"]["task"]) == ("stack", True, TASK)
     seen = Observation((Image("raw_rgb8", 64, 64, bytes(64 * 64 * 3), "front"),))
     with SyncClient(ImitationClient(Channel(service.address))) as client:
         goal = Goal(text=model["card"]["goal_text"])
         reply: ActResponse = client.act(ActRequest(seen, goal, model=ModelRef("stack")))
-    expected = NetworkPolicy(load_policy(run.folder / "artifacts", device="cpu").network)
+    expected = NetworkPolicy(load_policy(trained.folder / "artifacts", device="cpu").network)
     black = np.zeros((1, 64, 64, 3), np.uint8)
     np.testing.assert_allclose(reply.actions, expected.act(black, np.ones(1, np.bool_)), atol=1e-5)
     assert reply.in_distribution == 0
@@ -110,10 +102,8 @@ def test_a_run_s_policy_is_published_and_answers(
 class Killer:
     """Kills a service once a run has recorded a row, and starts it again at its address once the run waits for it."""
 
-    def __init__(self, service: Any, module: str, start: Callable[..., Any], run: Any) -> None:
+    def __init__(self, service: Any, run: Any) -> None:
         self._service = service
-        self._module = module
-        self._start = start
         self._run = run
         self._is_killed = self._is_restarted = False
         self._lock = threading.Lock()
@@ -123,32 +113,24 @@ class Killer:
             if not self._is_killed and self._run.rows:
                 self._is_killed = True
                 self._service.kill()
-                self._service.process.wait()
             elif self._is_killed and not self._is_restarted and self._run.waiting:
                 self._is_restarted = True
-                port = self._service.address.rpartition(":")[2]
-                self._start(self._module, FREEREIN_GRPC_PORT=port, FREEREIN_SIM_WORKERS="1")
+                self._service.restart()
         return False
 
 
 @pytest.mark.parametrize("name", ["sim", "reward"])
 def test_a_run_outlives_a_service_that_is_killed_and_ends_with_the_same_weights(
-    ppo: Callable[..., Any],
-    services: dict[str, Any],
-    expected: dict[str, Any],
-    start_service: Callable[..., Any],
-    name: str,
+    ppo: Callable[..., Any], services: dict[str, Any], trained: Any, name: str
 ) -> None:
-    module = f"freerein_{name}"
-    own = {**services, name: start_service(module, FREEREIN_SIM_WORKERS="1")}
-    run = ppo("killed", own)
-    assert run.do(stop=Killer(own[name], module, start_service, run))
-    assert run.artifact("policy.json") == expected
+    run = ppo()
+    assert run.do(stop=Killer(services[name], run))
+    assert run.artifact("policy.json") == trained.artifact("policy.json")
     assert sum(row["recoveries"] for row in run.rows) >= 1
 
 
 def test_a_run_over_two_sims_resumes_over_two_only(ppo: Callable[..., Any], services: dict[str, Any]) -> None:
-    run, one = ppo("two", iterations=2), services["sim"].address
+    run, one = ppo(), services["sim"].address
     run.environ["FREEREIN_SIM_ADDRESS"] = f"{one},{one}"
     assert not run.do(stop=lambda: bool(run.rows))
     run.environ["FREEREIN_SIM_ADDRESS"] = one
@@ -158,7 +140,7 @@ def test_a_run_over_two_sims_resumes_over_two_only(ppo: Callable[..., Any], serv
     assert run.do()
     assert run.artifact("policy.json")["sims"] == 2
 
-    single = ppo("one", iterations=1, num_envs=1)
+    single = ppo(iterations=1, num_envs=1)
     single.environ["FREEREIN_SIM_ADDRESS"] = f"{one},{one}"
     assert single.do()
     assert single.artifact("policy.json")["sims"] == 1
@@ -179,11 +161,11 @@ def test_a_run_that_cannot_succeed_fails_at_once(
     ppo: Callable[..., Any], config: dict[str, Any], error: type[Exception]
 ) -> None:
     with pytest.raises(error):
-        ppo("run", **config).do()
+        ppo(**config).do()
 
 
 def test_the_base_reward_is_the_grounding_models_similarity(ppo: Callable[..., Any]) -> None:
-    run = ppo("run", reward="base", goal_text="a red block", encoder="spatial", iterations=1)
+    run = ppo(reward="base", goal_text="a red block", encoder="spatial", iterations=1)
     assert run.do()
     assert run.artifact("policy.json")["model"]["name"] == "grounding"
     assert not run.artifact("policy.json")["privileged"]
@@ -192,14 +174,15 @@ def test_the_base_reward_is_the_grounding_models_similarity(ppo: Callable[..., A
 def test_the_eye_for_the_base_reward_is_the_reward_models_whichever_grounding_model_rewards(
     ppo: Callable[..., Any],
 ) -> None:
-    run = ppo("run", reward="base", reward_model="grounding", iterations=1)
+    run = ppo(reward="base", reward_model="grounding", iterations=1)
     assert run.do()
     card = run.artifact("policy.json")
     assert (card["model"]["name"], card["eye"]["name"]) == ("grounding", "default")
 
 
 def test_the_oracles_reward_marks_a_policy_and_those_initialised_from_it_as_privileged(ppo: Callable[..., Any]) -> None:
-    run, more = ppo("run", reward="oracle", iterations=1), ppo("more", init_from="run", iterations=1)
+    run = ppo("oracle", reward="oracle", iterations=1)
+    more = ppo(init_from="oracle", iterations=1)
     assert run.do()
     assert more.do()
     first, second = run.artifact("policy.json"), more.artifact("policy.json")

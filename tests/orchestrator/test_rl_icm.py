@@ -36,10 +36,10 @@ CPU = torch.device("cpu")
 CELLS = 32
 SMALL = ICMConfig(batch_size=32, hidden_size=64)
 PPO = PPOConfig(
-    iterations=12,
+    iterations=6,
     num_envs=4,
     num_steps=CELLS,
-    epochs=4,
+    epochs=2,
     batch_size=CELLS,
     gamma=0.99,
     ent_coef=0.01,
@@ -209,7 +209,7 @@ def visited_at_random(seed: int) -> set[int]:
 
 
 def test_an_exploration_stopped_between_iterations_resumes_to_the_same_bits(tmp_path: Path) -> None:
-    left = iter(range(60))
+    left = iter(range(25))
 
     def interrupt() -> None:
         if next(left, None) is None:

@@ -255,7 +255,7 @@ def test_a_training_resumed_from_any_checkpoint_ends_with_the_same_bits(tmp_path
 def test_a_training_stopped_anywhere_ends_with_the_same_bits_and_one_row_per_iteration(
     tmp_path: Path, expected: str
 ) -> None:
-    for calls in (1, 5, 9, 20, 3, 6):
+    for calls in (1, 4, 6, 9, 2, 3):
         left = iter(range(calls))
 
         def interrupt(left: Iterator[int] = left) -> None:

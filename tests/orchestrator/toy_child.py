@@ -1,4 +1,4 @@
-"""A run's child process that counts: `python -m toy_child FOLDER`. It waits where it is told to, once, to be killed."""
+"""A run's child process that counts: `python -m toy_child FOLDER WORKER`. It waits, once, where told to."""
 
 import json
 import os
@@ -10,10 +10,11 @@ from freerein.atomic_files import write_atomic
 from freerein.jobs.child import STOPPED, die_with_parent
 
 
-def main(folder: Path) -> int:
+def main(folder: Path, worker: str) -> int:
     die_with_parent()
     config = json.loads((folder / "config.json").read_bytes())["config"]
     signal.signal(signal.SIGTERM, signal.SIG_IGN if config.get("deaf") else lambda *_: sys.exit(save(folder)))
+    (folder / "worker.txt").write_text(worker)
     with (folder / "pids.txt").open("a") as pids:
         pids.write(f"{os.getpid()}\n")
     if len((folder / "pids.txt").read_text().split()) <= config.get("killed", 0):
@@ -44,4 +45,4 @@ def save(folder: Path) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(Path(sys.argv[1])))
+    raise SystemExit(main(Path(sys.argv[1]), sys.argv[2]))

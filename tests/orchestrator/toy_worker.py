@@ -1,4 +1,4 @@
-"""An orchestrator without REST and gRPC: `python toy_worker.py DATA_DIR NAME DATABASE_URL`; JSON commands on stdin."""
+"""An orchestrator without REST and gRPC: `python -m toy_worker DATA_DIR NAME DATABASE_URL`; JSON commands on stdin."""
 
 import asyncio
 import json
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from freerein.errors import ServiceError
+from freerein.fork_server import ForkServer, StartChild
 from freerein.jobs import attempt
 from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.store import JobStore
@@ -26,12 +27,13 @@ from freerein.types.orchestrator import (
 from freerein_orchestrator.runs.dbos_queue import DbosQueue
 from freerein_orchestrator.runs.service import Resolved, RunService
 
+_CHILD = "tests.orchestrator.toy_child"
 attempt._CANCEL_S = 15.0  # a child that saves may have to wait for its machine
 
 
-async def main(data_dir: Path, name: str, url: str) -> int:
+async def main(data_dir: Path, name: str, url: str, start_child: StartChild) -> int:
     health, store = Health(), JobStore(data_dir / "runs", noun="run")
-    runner = AttemptRunner(store, module="toy_child")
+    runner = AttemptRunner(store, module=_CHILD, arguments=(name,), start_child=start_child)
     queue = DbosQueue(
         data_dir / "runs",
         store=store,
@@ -106,4 +108,5 @@ def resolve(_kind: str, config: Mapping[str, Any]) -> Resolved:
 
 
 if __name__ == "__main__":
-    os._exit(asyncio.run(main(Path(sys.argv[1]), sys.argv[2], sys.argv[3])))  # as the orchestrator does
+    start_child = ForkServer.fork().start
+    os._exit(asyncio.run(main(Path(sys.argv[1]), sys.argv[2], sys.argv[3], start_child)))  # as the orchestrator does
