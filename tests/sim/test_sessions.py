@@ -3,6 +3,7 @@
 import asyncio
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -113,7 +114,14 @@ def stop(process: psutil.Process) -> None:
 
 
 def children() -> Workers:
-    return psutil.Process().children()
+    """Returns the worker processes of this process, which may have other children."""
+    return [child for child in psutil.Process().children() if is_worker(child)]
+
+
+def is_worker(process: psutil.Process) -> bool:
+    with suppress(psutil.Error):
+        return "freerein_sim.workers" in process.cmdline()
+    return False
 
 
 def assert_same(one: StepResponse, other: StepResponse) -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
 from operator import and_, or_
@@ -132,7 +133,14 @@ async def start_pool() -> AsyncIterator[StartPool]:
 
 
 def children() -> list[psutil.Process]:
-    return psutil.Process().children()
+    """Returns the worker processes of this process, which may have other children."""
+    return [child for child in psutil.Process().children() if is_worker(child)]
+
+
+def is_worker(process: psutil.Process) -> bool:
+    with suppress(psutil.Error):
+        return "freerein_sim.workers" in process.cmdline()
+    return False
 
 
 def open_files(pid: int) -> set[int]:
