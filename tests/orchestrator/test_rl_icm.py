@@ -195,8 +195,8 @@ def test_features_keep_what_actions_move_rather_than_what_flickers() -> None:
 
 def test_curiosity_covers_more_than_random_actions_in_as_many_steps(tmp_path: Path) -> None:
     envs = Corridor()
-    explore(tmp_path, envs, seed=2)
-    assert len(envs.visited) > 1.2 * len(visited_at_random(2))
+    explore(tmp_path, envs)
+    assert len(envs.visited) > 1.2 * len(visited_at_random(0))  # without the intrinsic reward, 1.0
 
 
 def visited_at_random(seed: int) -> set[int]:

@@ -1,4 +1,4 @@
-"""A run's child process that counts: `python -m toy_child FOLDER WORKER`. It waits, once, where told to."""
+"""A run's child process that counts: arguments FOLDER WORKER. It waits where it is told to, once, to be killed."""
 
 import json
 import os

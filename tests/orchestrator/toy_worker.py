@@ -1,4 +1,4 @@
-"""An orchestrator without REST and gRPC: `python -m toy_worker DATA_DIR NAME DATABASE_URL`; JSON commands on stdin."""
+"""An orchestrator without REST and gRPC, with JSON commands on stdin: arguments DATA_DIR NAME DATABASE_URL."""
 
 import asyncio
 import json
