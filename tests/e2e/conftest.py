@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PORTS = {"segmentation": 8101, "imitation": 8102, "reward": 8103}
 SMALL = {  # so that a fit takes seconds
-    "segmentation": ("steps=60", "features=8", "hidden_size=16", "lr=0.01", "augmentation=0", "evaluate_every=60"),
+    "segmentation": ("steps=60", "batch_size=4", "features=8", "hidden_size=16", "lr=0.01", "augmentation=0"),
     "reward": ("steps=120", "batch_size=24", "augmentation=0", "evaluate_every=60"),
     "skill_cloning": ("steps=20", "features=16", "hidden_size=16", "min_segment_steps=1", "evaluate_every=20"),
     "imitation": ("steps=120", "batch_size=4", "features=16", "hidden_size=32", "embedding_size=4"),
