@@ -16,6 +16,7 @@ class Figure:
 
     Attributes:
         name: Its name, such as `reward.two_blocks.accuracy`.
+        trials: Number of trials that it is measured in.
         measured: The value, with its interval, and with the baseline that it is shown beside.
         baseline_text: The trivial answer that is the baseline, in words.
         at_least: Bar that the value must reach.
@@ -24,6 +25,7 @@ class Figure:
     """
 
     name: str
+    trials: int
     measured: Measured
     baseline_text: str = ""
     at_least: float | None = None
@@ -63,11 +65,13 @@ class Session:
 
     Attributes:
         evaluations: Figures of the evaluations, by step and name.
+        trials: Number of trials of each evaluation, by step.
         told: Mean returns of the language policy, by the sides of the task and of the text.
         seconds: Duration of each step.
     """
 
     evaluations: Mapping[str, Mapping[str, Measured]]
+    trials: Mapping[str, int]
     told: Mapping[tuple[str, str], Measured]
     seconds: Mapping[str, float]
 
@@ -116,11 +120,11 @@ def figures(session: Session) -> list[Figure]:
     labels = session.figure("blocks-labels", "frame_accuracy")
     bar = (labels.baseline or 0) + 0.25
     return [
-        Figure("segmentation.frame_accuracy", labels, _LONGEST_SKILL, at_least=bar),
+        Figure("segmentation.frame_accuracy", session.trials["blocks-labels"], labels, _LONGEST_SKILL, at_least=bar),
         *(_figure(session, row) for row in _ROWS if row.figure in session.evaluations[row.step]),
         *_policy_figures(session),
         *(
-            Figure(f"{step}.training_s", Measured(session.seconds[step], None, None, None))
+            Figure(f"{step}.training_s", 1, Measured(session.seconds[step], None, None, None))
             for step in ("ppo", "distill")
         ),
     ]
@@ -130,6 +134,7 @@ def _figure(session: Session, row: _Row) -> Figure:
     measured = session.figure(row.step, row.figure)
     return Figure(
         row.name,
+        session.trials[row.step],
         measured if row.baseline_text else replace(measured, baseline=None),
         row.baseline_text,
         at_least=row.at_least,
@@ -147,23 +152,24 @@ def _policy_figures(session: Session) -> Iterator[Figure]:
     own, word_blind, gain = (
         session.figure("sentences", name) for name in ("own_text_return", "word_blind", "gain_by_words")
     )
-    yield Figure("ppo.return_first", replace(first, baseline=random["left"]), "random actions")
+    returns, told = session.trials["ppo-returns"], session.trials["sentences"]
+    yield Figure("ppo.return_first", returns, replace(first, baseline=random["left"]), "random actions")
     last = replace(last, baseline=first.high)
-    yield Figure("ppo.return_last", last, "upper end of return_first", beats_baseline=True)
-    yield Figure("ppo.expert_return", replace(expert, baseline=None), at_least=_EXPERT_RETURN)
-    for (side, text), returns in session.told.items():
+    yield Figure("ppo.return_last", returns, last, "upper end of return_first", beats_baseline=True)
+    yield Figure("ppo.expert_return", returns, replace(expert, baseline=None), at_least=_EXPERT_RETURN)
+    for (side, text), mean in session.told.items():
         name = f"distill.{side}_of.conditioned_on_{text}"
-        yield Figure(name, replace(returns, baseline=random[side]), "random actions")
-    yield Figure("distill.own_sentence_return", own, "one constant sentence")
-    yield Figure("distill.word_blind", replace(word_blind, baseline=None), at_most=own.low)
-    yield Figure("distill.gain_by_words", gain, "word-blind", beats_baseline=True)
+        yield Figure(name, told, replace(mean, baseline=random[side]), "random actions")
+    yield Figure("distill.own_sentence_return", told, own, "one constant sentence")
+    yield Figure("distill.word_blind", told, replace(word_blind, baseline=None), at_most=own.low)
+    yield Figure("distill.gain_by_words", told, gain, "word-blind", beats_baseline=True)
 
 
 def returns_by_panel(session: Session) -> dict[str, Mapping[str, Measured]]:
     """Returns what the picture compares: mean returns by policy, by the title of their panel."""
     random = {side: session.figure(f"random-{side}", "return_mean") for side in SIDES}
     student = {
-        side: {f'student,\ntold "{each}"': session.told[side, each] for each in _own_first(side)} for side in SIDES
+        side: {f'student,\ngiven "{each}"': session.told[side, each] for each in _own_first(side)} for side in SIDES
     }
     ppo = {
         "untrained": session.figure("ppo-returns", "baseline_return_mean"),

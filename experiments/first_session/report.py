@@ -13,6 +13,9 @@ from experiments.workbench.table import Picture, Section, Table
 from freerein.cli.demo.curves import returns_figure
 from freerein.cli.demo.evaluations import Measured
 
+_MOST_IN_DIGITS = 1000
+"""From here on numbers are shown without exponent."""
+
 _HEADER = ("figure", "value", "95 % interval", "baseline", "bar", "")
 
 _TEXT = """\
@@ -44,13 +47,14 @@ def session_of(kept: Mapping[str, Any]) -> Session:
         (tasks[row["task"]], texts[row["goal_text"]]): Measured(**row["return_mean"])
         for row in kept["evaluations"]["sentences"]["told"]
     }
-    return Session(evaluations, told, kept["seconds"])
+    trials = {step: result["episodes"] for step, result in kept["evaluations"].items()}
+    return Session(evaluations, trials, told, kept["seconds"])
 
 
 def table(result: ArmResult) -> Table:
     """Returns the table of a result."""
     session = session_of(result.shown)
-    total = Figure("total_s", Measured(60 * result.minutes, None, None, None))
+    total = Figure("total_s", 1, Measured(60 * result.minutes, None, None, None))
     found = [*figures(session), total]
     has_bars = result.options["size"] == FULL
     return Table(
@@ -67,7 +71,11 @@ def _cells(figure: Figure, *, has_bar: bool) -> tuple[str, ...]:
     interval = f"{measured.interval[0]:.3g} to {measured.interval[1]:.3g}" if measured.interval else ""
     baseline = f"{measured.baseline:.3g} ({figure.baseline_text})" if measured.baseline is not None else ""
     bar = (figure.bar, {None: "", True: "met", False: "not met"}[figure.met]) if has_bar else ("", "")
-    return figure.name, f"{measured.value:.3g}", interval, baseline, *bar
+    return figure.name, _number(measured.value), interval, baseline, *bar
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < _MOST_IN_DIGITS else f"{value:.0f}"
 
 
 def _claim(figure: Figure, result: ArmResult) -> Claim:
@@ -78,7 +86,7 @@ def _claim(figure: Figure, result: ArmResult) -> Claim:
         low=measured.low,
         high=measured.high,
         seeds=1,
-        trials=1,
+        trials=figure.trials,
         scale=None,
         baseline=measured.baseline,
         ceiling=None,

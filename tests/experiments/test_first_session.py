@@ -1,6 +1,7 @@
 """The first session: its pipeline in both sizes, and how its figures are judged."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,6 +15,8 @@ from freerein.cli.demo.evaluations import Measured
 from freerein_orchestrator.kinds import KINDS
 
 Result = dict[str, Any]
+CLONE = Path(__file__).parents[2]
+README, TABLE = CLONE / "README.md", CLONE / "experiments" / "results" / "first_session" / "table.md"
 EVALUATIONS = [step["name"] for step in pipeline(FULL, 0) if step["kind"] == "evaluate"]
 
 
@@ -40,13 +43,13 @@ def test_the_small_size_has_the_steps_of_the_full_one() -> None:
 @pytest.mark.parametrize(
     ("figure", "bar", "met"),
     [
-        (Figure("a", Measured(0.6, None, None, 0.5), "guess", beats_baseline=True), "above baseline", True),
-        (Figure("a", Measured(0.5, None, None, 0.5), "guess", beats_baseline=True), "above baseline", False),
-        (Figure("a", Measured(9, -1, 20, 0), "guess", beats_baseline=True), "interval above baseline", False),
-        (Figure("a", Measured(9, 1, 20, 0), "guess", beats_baseline=True), "interval above baseline", True),
-        (Figure("a", Measured(0.9, None, None, None), at_least=0.99), ">= 0.99", False),
-        (Figure("a", Measured(0.04, None, None, None), at_most=0.05), "<= 0.05", True),
-        (Figure("a", Measured(0.6, None, None, 0.5), "guess"), "", None),
+        (Figure("a", 4, Measured(0.6, None, None, 0.5), "guess", beats_baseline=True), "above baseline", True),
+        (Figure("a", 4, Measured(0.5, None, None, 0.5), "guess", beats_baseline=True), "above baseline", False),
+        (Figure("a", 4, Measured(9, -1, 20, 0), "guess", beats_baseline=True), "interval above baseline", False),
+        (Figure("a", 4, Measured(9, 1, 20, 0), "guess", beats_baseline=True), "interval above baseline", True),
+        (Figure("a", 4, Measured(0.9, None, None, None), at_least=0.99), ">= 0.99", False),
+        (Figure("a", 4, Measured(0.04, None, None, None), at_most=0.05), "<= 0.05", True),
+        (Figure("a", 4, Measured(0.6, None, None, 0.5), "guess"), "", None),
     ],
 )
 def test_a_bar_is_the_baseline_or_a_number_and_an_interval_must_clear_it(figure: Figure, bar: str, met: bool) -> None:
@@ -123,4 +126,14 @@ def kept() -> Result:
             "told": told,
         },
     }
-    return shown(evaluations, {"ppo": 81.0, "distill": 64.0}, [(1, 0.5), (2, 1.5)])
+    return shown(
+        {name: {**each, "episodes": 4} for name, each in evaluations.items()},
+        {"ppo": 81.0, "distill": 64.0},
+        [(1, 0.5), (2, 1.5)],
+    )
+
+
+def test_the_readme_shows_the_table() -> None:
+    shown = README.read_text().split("<!-- experiments/results/first_session/table.md -->\n\n")[1].split("\n\n")[0]
+    table = [line for line in TABLE.read_text().splitlines() if line.startswith("|")]
+    assert shown.splitlines() == table
