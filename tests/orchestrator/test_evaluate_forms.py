@@ -230,6 +230,7 @@ def test_a_reward_model_chooses_among_the_captions_of_every_visible_pair(
     assert all(-1.01 <= each <= 1.01 for picture in pictures for each in picture["similarities"])
 
 
+@pytest.mark.long  # a fit of a language policy, and episodes of MuJoCo; below, what its result consists of
 @pytest.mark.e2e
 def test_a_student_of_a_trained_policy_is_told_every_goal_text_in_every_task_and_compared_with_one_constant_text(
     new_run: Callable[..., Any], start_service: Callable[..., Any], services: dict[str, str], tmp_path: Path
