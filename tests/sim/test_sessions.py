@@ -70,18 +70,41 @@ def clock() -> Clock:
     return Clock()
 
 
+class SharedPool(WorkerPool):
+    """A pool of one worker that outlives its services."""
+
+    async def close(self) -> None:
+        """Does nothing: the fixture stops the worker."""
+
+    async def end(self) -> None:
+        await super().close()
+
+
+@pytest_asyncio.fixture(loop_scope="module", scope="module")
+async def shared() -> AsyncIterator[tuple[SharedPool, Workers]]:
+    """The pool of tests that harm no worker, and its worker."""
+    others, pool = children(), SharedPool(workers=1)
+    await pool.start()
+    yield pool, [child for child in children() if child not in others]
+    await pool.end()
+
+
 @pytest_asyncio.fixture(loop_scope="module")
-async def start(clock: Clock) -> AsyncIterator[StartSessions]:
-    """A function that starts sessions of the test's own, closed with it, and returns their workers too."""
+async def start(clock: Clock, shared: tuple[SharedPool, Workers]) -> AsyncIterator[StartSessions]:
+    """A function that starts sessions of the test's own, closed with it, and returns their workers too.
+
+    Their workers are shared unless the test says how many, or which pool.
+    """
     started: list[SimCore] = []
 
     async def start_sessions(
-        *, workers: int = 1, max_sessions: int = 64, max_envs: int = 512, pool: WorkerPool | None = None
+        *, workers: int = 0, max_sessions: int = 64, max_envs: int = 512, pool: WorkerPool | None = None
     ) -> tuple[SimCore, Workers]:
-        others, pool = children(), pool or WorkerPool(workers=workers)
+        is_shared = not (pool or workers)
+        others, pool = children(), shared[0] if is_shared else pool or WorkerPool(workers=workers)
         started.append(SimCore(pool, max_sessions=max_sessions, max_envs=max_envs, clock=clock))
         await started[-1].start()
-        return started[-1], [child for child in children() if child not in others]
+        return started[-1], shared[1] if is_shared else [child for child in children() if child not in others]
 
     yield start_sessions
     for sessions in started:
@@ -89,12 +112,12 @@ async def start(clock: Clock) -> AsyncIterator[StartSessions]:
 
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
-async def sessions() -> AsyncIterator[SimCore]:
+async def sessions(shared: tuple[SharedPool, Workers]) -> AsyncIterator[SimCore]:
     """The sessions that tests share which harm nobody."""
-    shared = SimCore(WorkerPool(workers=1))
-    await shared.start()
-    yield shared
-    await shared.close()
+    core = SimCore(shared[0])
+    await core.start()
+    yield core
+    await core.close()
 
 
 async def begun(sessions: SimCore, request: CreateSessionRequest = ONE) -> str:
@@ -469,7 +492,7 @@ async def test_demonstrations_are_made_when_asked_for_and_left_without_a_trace(s
 
 
 async def test_no_session_waits_for_a_demonstration(start: StartSessions) -> None:
-    sessions, _ = await start()
+    sessions, _ = await start(workers=1)
     session, others = await begun(sessions), children()
     stream = sessions.demonstrate(DemonstrateRequest("grid", "expert", count=2))
     await anext(stream)
@@ -595,7 +618,7 @@ async def test_no_more_environments_are_open_than_may_be(start: StartSessions) -
 
 @pytest.mark.fault("M8")
 async def test_a_closed_session_leaves_its_memory(start: StartSessions) -> None:
-    sessions, (worker,) = await start()
+    sessions, (worker,) = await start(workers=1)
     created = await sessions.create_session(CreateSessionRequest("tabletop", num_envs=8, seed=1))
     await sessions.reset(ResetRequest(created.session, cameras=("front",)))
     open_bytes = worker.memory_info().rss
@@ -639,7 +662,7 @@ async def test_a_session_that_ended_or_was_never_made_takes_nothing_of_its_worke
 @pytest.mark.fault("M8")
 @pytest.mark.fault("G3")
 async def test_three_hundred_sessions_leave_nothing_behind(start: StartSessions) -> None:
-    sessions, workers = await start()
+    sessions, workers = await start(workers=1)
     processes = [psutil.Process(), *workers]
     for _ in range(30):
         await sessions.close_session(CloseSessionRequest(await begun(sessions)))
@@ -735,7 +758,7 @@ async def test_a_service_about_to_stop_finishes_what_was_begun_and_begins_nothin
 @pytest.mark.fault("C18")
 async def test_a_service_that_closes_does_not_wait_for_a_call_that_nobody_awaits(start: StartSessions) -> None:
     tasks = asyncio.all_tasks()
-    sessions, (worker,) = await start()
+    sessions, (worker,) = await start(workers=1)
     session = await begun(sessions)
     stop(worker)
     step = asyncio.create_task(sessions.step(StepRequest(session, 1, UP)))

@@ -267,8 +267,8 @@ def test_restored_at_any_cut_the_same_actions_give_the_same_bits(
     begin: MakeEnvs, make: MakeEnvs, task: TaskDefinition
 ) -> None:
     rng = np.random.default_rng(0)
-    actions = [some_actions(task, 2, rng) for _ in range(120)]
-    cuts = set(rng.choice(120, size=4, replace=False).tolist())
+    actions = [some_actions(task, 2, rng) for _ in range(60)]
+    cuts = set(rng.choice(60, size=3, replace=False).tolist())
     envs, kept, seen = begin(task, num_envs=2, privileged=True), {}, []
     for i, action in enumerate(actions):
         if i in cuts:

@@ -21,21 +21,29 @@ CHECKED = (
     "grid-no-indicator",
     "blocks",
     "blocks.scatter",
-    "blocks.red-left-of-green",
-    "blocks.yellow-right-of-blue",
     "blocks.blue-on-top-of-red",
     "dial",
     "tabletop",
     "bins",
 )
-HIDES_ITS_RECIPE = ("grid-no-indicator", "blocks", "dial", "tabletop", "bins")
+HIDES_ITS_RECIPE = (
+    "grid-no-indicator",
+    "blocks",
+    *(pytest.param(name, marks=pytest.mark.long) for name in ("dial", "tabletop", "bins")),  # many pictures
+)
 SHOWS_ITS_RECIPE = ("grid", "tabletop.only-own-objects")
 """The indicator has the colour of the first object, and the other shows only what a recipe uses."""
 
 
 @pytest.mark.parametrize("task", [TASKS[name] for name in CHECKED], ids=CHECKED)
 @pytest.mark.parametrize("check", conformance.CHECKS, ids=[check.__name__ for check in conformance.CHECKS])
-def test_our_worlds_conform(check: Callable[[TaskDefinition], None], task: TaskDefinition) -> None:
+def test_our_worlds_conform(
+    check: Callable[[TaskDefinition], None], task: TaskDefinition, keep_open: Callable[..., None]
+) -> None:
+    keep_open(task)
+    for condition in task.own_conditions:
+        if condition.group == "light":
+            keep_open(task, condition.name)
     check(task)
 
 
@@ -78,7 +86,7 @@ def test_an_expert_that_only_says_it_has_completed_its_skills_is_found() -> None
     task = replace(TASKS["grid"], make=lambda: Boastful(indicator=True))
 
     with pytest.raises(AssertionError, match="completed at the end of its attempt"):
-        experts.has_an_expert_that_completes_its_skills(task)
+        experts.has_an_expert_that_succeeds(task)
 
 
 def test_recipes_that_the_world_refuses_are_found() -> None:

@@ -31,7 +31,6 @@ CHECKS: tuple[Check, ...] = (
     interface.judges_its_states,
     recipes.draws_recipes_that_it_accepts,
     experts.has_an_expert_that_succeeds,
-    experts.has_an_expert_that_completes_its_skills,
     experts.has_an_expert_that_survives_any_state,
     experts.has_an_expert_of_its_own_recipe,
     conditions.declares_its_conditions,

@@ -1,6 +1,6 @@
 """Checks of a task's scripted expert."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 
 import numpy as np
@@ -15,7 +15,7 @@ _TRIES = 3
 
 
 def has_an_expert_that_succeeds(task: TaskDefinition) -> None:
-    """The expert executes recipes in order and in time, and the oracle agrees that the goal, if any, holds."""
+    """The expert executes recipes in order and in time, and completes its skills; the oracle sees the goal, if any."""
     if not task.spec.has_expert:
         return
     with closing(task.make()) as world:
@@ -24,23 +24,7 @@ def has_an_expert_that_succeeds(task: TaskDefinition) -> None:
             order = [task.spec.skills[label] for label in labels[np.flatnonzero(np.diff(labels, prepend=-2))]]
             require(tuple(order) == recipe, "Labels follow the recipe.")
             require(not task.goal_text or world.truth().success, "The oracle sees the goal that the expert reached.")
-
-
-def has_an_expert_that_completes_its_skills(task: TaskDefinition) -> None:
-    """`completed/SKILL` holds where the expert ends a skill, not where it begins, and of no other skill."""
-    spec = task.spec
-    if not (spec.has_expert and spec.skills):
-        return
-    completed = {each.name.removeprefix("completed/"): each for each in task.predicates if "completed/" in each.name}
-    require(set(completed) == set(spec.skills), "There is a predicate `completed/SKILL` for each skill.")
-    with closing(task.make()) as world:
-        for recipe, shown in _demonstrations(task, world):
-            for skill, states in shown.attempts():
-                holds = completed[spec.skills[skill]].holds(states)[0]
-                require(bool(holds[-1]) and not holds[0], "A skill is completed at the end of its attempt, not before.")
-            others = [completed[skill] for skill in spec.skills if skill not in recipe]
-            last = [bool(each.holds(shown.states[None])[0, -1]) for each in others]
-            require(not any(last), "No other skill is completed.")
+            _check_completed(task, recipe, shown)
         world.reset(np.random.default_rng(SEED), recipe=recipe)
         expert = expert_of(world)(recipe, np.random.default_rng(SEED))
         record_episode(world, expert, cameras=(), max_steps=1)
@@ -68,6 +52,18 @@ def has_an_expert_of_its_own_recipe(task: TaskDefinition) -> None:
         rng = np.random.default_rng(SEED)
         succeeded = any(demonstrate(world, (), rng).episode.success for _ in range(_TRIES))
         require(succeeded, "The expert succeeds at the recipe of the episode.")
+
+
+def _check_completed(task: TaskDefinition, recipe: Sequence[str], shown: Demonstration) -> None:
+    """`completed/SKILL` holds where the expert ends a skill, not where it begins, and of no other skill."""
+    skills = task.spec.skills
+    completed = {each.name.removeprefix("completed/"): each for each in task.predicates if "completed/" in each.name}
+    require(set(completed) == set(skills), "There is a predicate `completed/SKILL` for each skill.")
+    for skill, states in shown.attempts():
+        holds = completed[skills[skill]].holds(states)[0]
+        require(bool(holds[-1]) and not holds[0], "A skill is completed at the end of its attempt, not before.")
+    last = [bool(completed[skill].holds(shown.states[None])[0, -1]) for skill in skills if skill not in recipe]
+    require(not any(last), "No other skill is completed.")
 
 
 def _longest_recipe(task: TaskDefinition, rng: np.random.Generator) -> tuple[str, ...]:

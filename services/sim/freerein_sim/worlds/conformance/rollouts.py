@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from freerein.types.common import Camera
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
 from freerein_sim.worlds.predicates import States
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
@@ -52,7 +53,7 @@ class Demonstration:
 
     Attributes:
         episode: What was recorded.
-        states: float64 (T + 1, S), the true states at its frames and after its last action.
+        states: float64 (T + 1, S), the true states before each action and after the last one.
     """
 
     episode: RecordedEpisode
@@ -66,12 +67,13 @@ class Demonstration:
             yield int(labels[first]), self.states[None, first : last + 1]
 
 
-def demonstrate(world: World, recipe: Sequence[str], rng: np.random.Generator) -> Demonstration:
-    """Records the expert at a recipe; frames of the first camera."""
+def demonstrate(
+    world: World, recipe: Sequence[str], rng: np.random.Generator, *, cameras: Sequence[Camera] = ()
+) -> Demonstration:
+    """Records the expert at a recipe; frames of some cameras."""
     world.reset(rng, recipe=recipe)
     expert = _Watched(world, expert_of(world)(recipe, rng))
-    spec = world.spec
-    episode = record_episode(world, expert, cameras=spec.cameras[:1], max_steps=spec.max_episode_steps)
+    episode = record_episode(world, expert, cameras=cameras, max_steps=world.spec.max_episode_steps)
     return Demonstration(episode, np.stack([*expert.states[: len(episode.actions)], world.truth().state]))
 
 

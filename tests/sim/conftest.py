@@ -1,0 +1,31 @@
+"""What tests of worlds share."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+
+import numpy as np
+import pytest
+
+from freerein_sim.worlds.varied_world import build
+from freerein_sim.worlds.world import TaskDefinition
+
+KeepOpen = Callable[..., None]
+
+
+@pytest.fixture(scope="session")
+def keep_open() -> Iterator[KeepOpen]:
+    """A function that keeps a world of a task open until the session ends, under conditions or none.
+
+    Worlds of one scene share its OpenGL context, which takes up to 0.4 s of CPU time to make.
+    """
+    with ExitStack() as opened:
+        kept: set[tuple[str, ...]] = set()
+
+        def keep(task: TaskDefinition, *conditions: str) -> None:
+            if (task.name, *conditions) not in kept:
+                kept.add((task.name, *conditions))
+                world, camera = opened.enter_context(closing(build(task, conditions))), task.spec.cameras[0]
+                world.reset(np.random.default_rng(0))
+                world.render(camera.name, height=camera.height, width=camera.width)
+
+        yield keep
