@@ -1,6 +1,6 @@
 """Each world behaves as is recorded of its version: starts, first frames, demonstrations and random rollouts.
 
-`python tests/sim/test_worlds_golden.py` records the worlds whose version has no record. What MuJoCo and OpenGL compute
+`python tests/sim/test_worlds_golden.py` records what has no record of the world's version. What MuJoCo and OpenGL compute
 differs a little between machines (decision 40): numbers have tolerances, frames are means of coarse blocks, and where
 contacts amplify last bits, a minority of the episodes may differ.
 """
@@ -205,9 +205,11 @@ def difference(part: str, then: Any, now: Any) -> float:
 
 
 def save(world: str) -> None:
-    """Writes the record of a world; each episode on a line of its own."""
+    """Writes the record of a world; of its version keeps what is there. Each episode is on a line of its own."""
+    before = read(world) if path_of(world).is_file() else {"version": "", "cases": {}}
+    kept = before["cases"] if before["version"] == version_of(world) else {}
     cases = [
-        f"{json.dumps(case)}: [\n" + ",\n".join(map(json.dumps, episodes)) + "\n]"
+        f"{json.dumps(case)}: [\n" + ",\n".join(map(json.dumps, kept.get(case, episodes))) + "\n]"
         for case, episodes in record(world).items()
     ]
     document = f'{{"version": "{version_of(world)}", "cases": {{\n' + ",\n".join(cases) + "\n}}\n"
@@ -216,5 +218,4 @@ def save(world: str) -> None:
 
 if __name__ == "__main__":
     for name in WORLDS:
-        if not path_of(name).is_file() or read(name)["version"] != version_of(name):
-            save(name)
+        save(name)
