@@ -1,8 +1,8 @@
 """Each world behaves as is recorded of its version: starts, first frames, demonstrations and random rollouts.
 
-`python tests/sim/test_worlds_golden.py` records what has no record of the world's version. What MuJoCo and OpenGL compute
-differs a little between machines (decision 40): numbers have tolerances, frames are means of coarse blocks, and where
-contacts amplify last bits, a minority of the episodes may differ.
+`python tests/sim/test_worlds_golden.py` records what has no record of the world's version. What MuJoCo and OpenGL
+compute differs a little between machines (decision 40): numbers have tolerances, frames are means of coarse blocks, and
+where contacts amplify last bits, a minority of the episodes may differ.
 """
 
 import base64
