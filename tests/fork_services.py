@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from freerein.fork_server import serve
+from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 
 _MODULES = (
     "freerein_orchestrator.__main__",
@@ -33,4 +34,4 @@ if __name__ == "__main__":
         del sys.modules[module]  # what it imports stays; it runs as `__main__`
     gc.freeze()
     gc.enable()
-    serve(requests)
+    serve(requests, IMPORTED_BY_OPTIMISERS)

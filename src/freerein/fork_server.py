@@ -23,6 +23,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import NoReturn, Protocol, TypeAlias
 
@@ -98,8 +99,11 @@ class ForkServer:
         self._requests = requests
 
     @classmethod
-    def fork(cls) -> "ForkServer":
+    def fork(cls, *late_imports: str) -> "ForkServer":
         """Forks a fork server from this process, which has no other thread yet.
+
+        Args:
+            late_imports: Modules that children need and this process does not; imported before the first child.
 
         Raises:
             SystemExit: In a child process, when its module ends.
@@ -108,7 +112,7 @@ class ForkServer:
         gc.freeze()  # the collector would write to every page, which then is no longer shared
         if os.fork() == 0:
             ours.close()
-            serve(theirs)
+            serve(theirs, *late_imports)
         theirs.close()
         return cls(ours)
 
@@ -155,8 +159,8 @@ class _Forked:
                 os.kill(self.pid, sig)
 
 
-def serve(requests: socket.socket) -> NoReturn:
-    """Is the fork server, until the other end of its socket closes.
+def serve(requests: socket.socket, *late_imports: str) -> NoReturn:
+    """Is the fork server, until the other end of its socket closes; `late_imports` as of `ForkServer.fork`.
 
     Raises:
         SystemExit: In a child process, when its module ends.
@@ -166,6 +170,8 @@ def serve(requests: socket.socket) -> NoReturn:
         signal.signal(number, signal.SIG_IGN)  # such as Ctrl-C, which is for the service
     signal.signal(signal.SIGCHLD, _reap)
     while fds := socket.recv_fds(requests, 1, _MOST_FDS)[1]:
+        for module in late_imports:
+            import_module(module)
         if os.fork() == 0:
             requests.close()
             _monitor(*fds)

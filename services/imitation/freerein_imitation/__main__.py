@@ -10,6 +10,7 @@ import torch
 
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.fork_server import ForkServer, StartChild, spawn
+from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
 from freerein.serving.learned import LearnedSettings, learned_service
@@ -71,5 +72,5 @@ def _warm_up(policy: Policy) -> Policy:
 
 
 if __name__ == "__main__":
-    fork_server = ForkServer.fork()
+    fork_server = ForkServer.fork(IMPORTED_BY_OPTIMISERS)
     raise SystemExit(run(NAME, LearnedSettings, partial(build, start_child=fork_server.start)))

@@ -11,6 +11,7 @@ from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.fork_server import ForkServer, StartChild, spawn
 from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.store import JobStore
+from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
@@ -75,7 +76,7 @@ def resolve(kind: RunKind, config: Mapping[str, Any], data_dir: Path) -> Resolve
 
 
 if __name__ == "__main__":
-    fork_server = ForkServer.fork()
+    fork_server = ForkServer.fork(IMPORTED_BY_OPTIMISERS)
     code = run(NAME, OrchestratorSettings, partial(build, start_child=fork_server.start))
     sys.stdout.flush()
     os._exit(code)  # `sys.exit` would wait for threads of DBOS, which wait for as long as a database is away

@@ -11,6 +11,7 @@ import torch
 from freerein.api.reward.v1 import reward_pb2
 from freerein.errors import FailedPrecondition
 from freerein.fork_server import ForkServer, StartChild, spawn
+from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
 from freerein.serving.learned import learned_service, open_store
@@ -97,5 +98,5 @@ def _warm(loaded: RewardModel | GroundingModel) -> RewardModel | GroundingModel:
 
 
 if __name__ == "__main__":
-    fork_server = ForkServer.fork()
+    fork_server = ForkServer.fork(IMPORTED_BY_OPTIMISERS)
     raise SystemExit(run(NAME, RewardSettings, partial(build, start_child=fork_server.start)))

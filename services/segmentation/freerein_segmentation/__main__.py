@@ -9,6 +9,7 @@ import torch
 
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.fork_server import ForkServer, StartChild, spawn
+from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
 from freerein.serving.learned import LearnedSettings, learned_service
@@ -58,5 +59,5 @@ def _warm(loaded: SkillModel) -> SkillModel:
 
 
 if __name__ == "__main__":
-    fork_server = ForkServer.fork()
+    fork_server = ForkServer.fork(IMPORTED_BY_OPTIMISERS)
     raise SystemExit(run(NAME, LearnedSettings, partial(build, start_child=fork_server.start)))

@@ -8,6 +8,9 @@ from torch import Tensor, nn
 from freerein.learning.fit_config import FitConfig
 from freerein.learning.train_state import N, TrainState
 
+IMPORTED_BY_OPTIMISERS = "torch._dynamo"
+"""What torch imports for a second of CPU when a process makes its first optimiser."""
+
 _MAX_GRAD_NORM = 1.0
 
 
