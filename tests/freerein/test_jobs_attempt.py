@@ -26,7 +26,7 @@ def store(tmp_path: Path) -> JobStore:
 def runner(store: JobStore, monkeypatch: pytest.MonkeyPatch) -> AttemptRunner:
     toys = Path(__file__).parents[1] / "orchestrator"
     monkeypatch.setenv("PYTHONPATH", f"{toys}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
-    return AttemptRunner(store, module="toy_child", hidden_env=("FREEREIN_DATABASE_URL",))
+    return AttemptRunner(store, module="toy_child", arguments=("here",), hidden_env=("FREEREIN_DATABASE_URL",))
 
 
 def go_on() -> StopRequest:

@@ -42,6 +42,10 @@ def decoded(source: bytes | Path, **options: object) -> npt.NDArray[np.uint8]:
         return np.stack([frame.pixels for frame in video])
 
 
+def decoders() -> list[psutil.Process]:
+    return [child for child in psutil.Process().children() if "freerein.video.decoder" in child.cmdline()]
+
+
 @pytest.mark.parametrize("codec", ["libx264", "libsvtav1"])
 def test_frames_come_in_order_with_their_times(
     encode_video: EncodeVideo, colours: npt.NDArray[np.uint8], codec: str
@@ -74,7 +78,7 @@ def test_frames_are_resized_and_gray_when_asked(h264: bytes) -> None:
 def test_a_video_that_is_left_ends_its_decoder(long_video: bytes) -> None:
     with open_video(long_video) as video:
         next(iter(video))
-        (decoder,) = psutil.Process().children()
+        (decoder,) = decoders()
         assert decoder.is_running()
     assert not decoder.is_running()
 
@@ -155,7 +159,7 @@ def test_a_decoder_that_takes_too_much_cpu_time_is_ended_and_told_as_that(long_v
 def test_a_decoder_that_crashes_is_an_error_of_the_file(encode_video: EncodeVideo) -> None:
     long = encode_video(np.zeros((200, 128, 128, 3), np.uint8))  # more than the pipe holds
     with open_video(long) as video:
-        (decoder,) = psutil.Process().children()
+        (decoder,) = decoders()
         os.kill(decoder.pid, signal.SIGSEGV)
         with pytest.raises(InvalidInput, match="corrupt"):
             list(video)
@@ -171,6 +175,6 @@ def test_without_a_decoder_it_is_said_how_to_get_one(monkeypatch: pytest.MonkeyP
 def test_a_decoder_has_no_environment(monkeypatch: pytest.MonkeyPatch, long_video: bytes) -> None:
     monkeypatch.setenv("FREEREIN_TOKEN", "secret")
     with open_video(long_video) as video:
-        (decoder,) = psutil.Process().children()
+        (decoder,) = decoders()
         assert "FREEREIN_TOKEN" not in decoder.environ()
         assert video.info.codec == "h264"
