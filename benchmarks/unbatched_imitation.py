@@ -16,4 +16,4 @@ def build_unbatched(settings: LearnedSettings, limits: Limits, metrics: Metrics,
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, LearnedSettings, build_unbatched))
+    run(NAME, LearnedSettings, build_unbatched)

@@ -15,6 +15,7 @@ from experiments.workbench.arms import Arm, Experiment, choose, world_version
 from experiments.workbench.configs import to_json
 from experiments.workbench.elapsed import Elapsed
 from experiments.workbench.results import ArmResult, Outcome
+from freerein import program
 from freerein.jobs.child import run_child
 
 
@@ -60,4 +61,4 @@ def _result(experiment: Experiment, arm: Arm, outcome: Outcome, elapsed: Elapsed
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(Path(sys.argv[1])))
+    program.end(main(Path(sys.argv[1])))

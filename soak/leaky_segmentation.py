@@ -61,4 +61,4 @@ def build_leaky(settings: LearnedSettings, limits: Limits, metrics: Metrics, hea
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, LearnedSettings, build_leaky))
+    run(NAME, LearnedSettings, build_leaky)

@@ -65,4 +65,4 @@ def build(_settings: ServiceSettings, _limits: Limits, _metrics: Metrics, _healt
 
 
 if __name__ == "__main__":
-    raise SystemExit(run("kinds", ServiceSettings, build))
+    run("kinds", ServiceSettings, build)

@@ -110,4 +110,4 @@ def build_faulty(settings: LearnedSettings, limits: Limits, metrics: Metrics, he
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, LearnedSettings, build_faulty))
+    run(NAME, LearnedSettings, build_faulty)

@@ -66,4 +66,4 @@ def build_lying(settings: RewardSettings, limits: Limits, metrics: Metrics, heal
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, RewardSettings, build_lying))
+    run(NAME, RewardSettings, build_lying)

@@ -112,4 +112,4 @@ if __name__ == "__main__":
     if audit := os.environ.get("FAULTY_AUDIT"):
         write_down_what_is_touched(audit)
     fork_server = ForkServer.fork()
-    raise SystemExit(run(NAME, LearnedSettings, partial(build_faulty, start_child=fork_server.start)))
+    run(NAME, LearnedSettings, partial(build_faulty, start_child=fork_server.start))

@@ -28,4 +28,4 @@ def build_toy(settings: RewardSettings, limits: Limits, metrics: Metrics, health
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, RewardSettings, build_toy))
+    run(NAME, RewardSettings, build_toy)

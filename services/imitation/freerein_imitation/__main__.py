@@ -73,4 +73,4 @@ def _warm_up(policy: Policy) -> Policy:
 
 if __name__ == "__main__":
     fork_server = ForkServer.fork(IMPORTED_BY_OPTIMISERS)
-    raise SystemExit(run(NAME, LearnedSettings, partial(build, start_child=fork_server.start)))
+    run(NAME, LearnedSettings, partial(build, start_child=fork_server.start))

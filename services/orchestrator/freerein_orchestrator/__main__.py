@@ -1,7 +1,6 @@
 """The orchestrator as a process: `python -m freerein_orchestrator`."""
 
 import os
-import sys
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -77,6 +76,4 @@ def resolve(kind: RunKind, config: Mapping[str, Any], data_dir: Path) -> Resolve
 
 if __name__ == "__main__":
     fork_server = ForkServer.fork(IMPORTED_BY_OPTIMISERS)
-    code = run(NAME, OrchestratorSettings, partial(build, start_child=fork_server.start))
-    sys.stdout.flush()
-    os._exit(code)  # `sys.exit` would wait for threads of DBOS, which wait for as long as a database is away
+    run(NAME, OrchestratorSettings, partial(build, start_child=fork_server.start))

@@ -99,4 +99,4 @@ def _warm(loaded: RewardModel | GroundingModel) -> RewardModel | GroundingModel:
 
 if __name__ == "__main__":
     fork_server = ForkServer.fork(IMPORTED_BY_OPTIMISERS)
-    raise SystemExit(run(NAME, RewardSettings, partial(build, start_child=fork_server.start)))
+    run(NAME, RewardSettings, partial(build, start_child=fork_server.start))

@@ -6,10 +6,9 @@ GROUNDING_FOLDER holds a version of the grounding model and is named after it. C
 import sys
 from pathlib import Path
 
+from freerein import program
 from freerein_reward.methods import METHODS
 
 if __name__ == "__main__":
     folder, data_dir, device, grounding = sys.argv[1:]
-    raise SystemExit(
-        METHODS.run_fit(Path(folder), Path(data_dir), device, grounding=Path(grounding), captions=Path(folder))
-    )
+    program.end(METHODS.run_fit(Path(folder), Path(data_dir), device, grounding=Path(grounding), captions=Path(folder)))

@@ -3,7 +3,8 @@
 import sys
 from pathlib import Path
 
+from freerein import program
 from freerein_segmentation.methods import METHODS
 
 if __name__ == "__main__":
-    raise SystemExit(METHODS.run_fit(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]))
+    program.end(METHODS.run_fit(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]))

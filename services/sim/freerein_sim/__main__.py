@@ -31,4 +31,4 @@ def build(settings: SimSettings, limits: Limits, _metrics: Metrics, health: Heal
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(NAME, SimSettings, build))
+    run(NAME, SimSettings, build)

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 import grpc
 import uvloop
@@ -74,26 +74,24 @@ class _DecodeThreads(ThreadPoolExecutor):
 Build = Callable[[S, Limits, Metrics, Health], Service]
 
 
-def run(name: str, settings_class: type[S], build: Build[S]) -> int:
-    """Runs a service until it is told to stop, and ends the process; returns the exit code of one that cannot start.
+def run(name: str, settings_class: type[S], build: Build[S]) -> NoReturn:
+    """Runs a service until it is told to stop, and ends the process.
 
-    No thread is waited for at the end: one may be in a decoder or a model that hangs.
+    No thread is waited for at the end: one may be in a decoder or a model that hangs, or wait for a database.
     """
     program.loaded()
     logs.configure(name)
     try:
         settings = settings_class()
     except ValidationError as error:
-        return _cannot_start(_reason(error), CONFIGURATION_ERROR)
+        program.end(_cannot_start(_reason(error), CONFIGURATION_ERROR))
     logs.set_level(settings.log_level)
     try:
         code = uvloop.run(_serve(settings, build))
     except ServiceError as error:
         code = CONFIGURATION_ERROR if isinstance(error, _CONFIGURATION_ERRORS) else FAILURE
         code = _cannot_start(f"{error.detail} {error.hint}", code)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
+    program.end(code)
 
 
 async def _serve(settings: S, build: Build[S]) -> int:

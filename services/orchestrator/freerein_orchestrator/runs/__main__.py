@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from freerein import program
 from freerein.jobs.attempt import CANCELLED_FILE
 from freerein.jobs.child import run_child, stop_on_sigterm
 from freerein_orchestrator.kinds import KINDS
@@ -39,4 +40,4 @@ def main(folder: Path, data_dir: Path, device: str) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]))
+    program.end(main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]))
