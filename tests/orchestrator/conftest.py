@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -156,12 +157,16 @@ class Mortal:
 
 
 class Replacing:
-    """Asked whether to stop, says no; replaces a service when it is asked for the n-th time since something is true."""
+    """Asked whether to stop, says no; replaces a service when it is asked for the n-th time since something is true.
+
+    Several threads of a run may ask at once.
+    """
 
     def __init__(self, service: Mortal, count: int, since: Callable[[], object]) -> None:
         self._service = service
         self._left = count
         self._since = since
+        self._asked = threading.Lock()
 
     @property
     def is_done(self) -> bool:
@@ -169,8 +174,10 @@ class Replacing:
         return self._left < 0
 
     def __call__(self) -> bool:
-        self._left -= self._left <= 0 or bool(self._since())
-        if self._left == 0:
+        with self._asked:
+            self._left -= self._left <= 0 or bool(self._since())
+            is_time = self._left == 0
+        if is_time:
             self._service.kill()
             self._service.restart()
         return False
