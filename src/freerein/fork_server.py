@@ -20,6 +20,7 @@ import socket
 import struct
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -100,7 +101,7 @@ class ForkServer:
 
     @classmethod
     def fork(cls, *late_imports: str) -> "ForkServer":
-        """Forks a fork server from this process, which has no other thread yet.
+        """Forks a fork server from this process, whose only threads are those of imports that survive a fork.
 
         Args:
             late_imports: Modules that children need and this process does not; imported before the first child.
@@ -110,7 +111,10 @@ class ForkServer:
         """
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         gc.freeze()  # the collector would write to every page, which then is no longer shared
-        if os.fork() == 0:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of Python 3.12: OpenBLAS and jemalloc have threads
+            pid = os.fork()
+        if pid == 0:
             ours.close()
             serve(theirs, *late_imports)
         theirs.close()
@@ -137,6 +141,8 @@ class _Forked:
     def __init__(self, pid: int, status: int) -> None:
         self.pid = pid
         self._status = os.fdopen(status, "rb", buffering=0)
+        self._ended = select.poll()  # `select.select` knows no descriptors from 1024 on
+        self._ended.register(status, select.POLLIN)
         self._code: int | None = None
 
     def poll(self) -> int | None:
@@ -146,7 +152,7 @@ class _Forked:
 
     def wait(self, timeout: float | None = None) -> int:
         if self._code is None:
-            if not select.select([self._status], [], [], timeout)[0]:
+            if not self._ended.poll(None if timeout is None else timeout * 1000):
                 raise subprocess.TimeoutExpired("a forked child", timeout or 0)
             code = self._status.read(_NUMBER.size)
             self._code = _NUMBER.unpack(code)[0] if code else -signal.SIGKILL  # the monitor was killed, too
