@@ -14,7 +14,7 @@ setup: ## Install what freerein needs to run; TORCH_INDEX= for a machine with a 
 dev: ## Install what the tests and checks need, too
 	@tools/setup dev
 
-demo: setup ## Show six results, two of them learned meanwhile: three minutes on two cores
+demo: setup ## Show six results, two of them learned meanwhile: three to five minutes on two cores
 	@$(BIN)/freerein demo
 
 check: dev stubs-fresh ## Lint, format, types, import contracts, proto, its stubs and its changes
