@@ -9,7 +9,7 @@ from typer.core import TyperGroup
 COMMANDS = {
     "up": "Run the services until Ctrl-C; restart them when they crash.",
     "doctor": "Check this machine and the services; exit code 1 where something required is missing.",
-    "demo": "Show what freerein does, in three to five minutes: four results of its models, then two models that are learned.",
+    "demo": "Show what freerein does, in three to five minutes: four results of its models, then two that are learned.",
     "segment": "Label every timestep of a video or a trajectory with a skill; with --save, of a whole dataset.",
     "reward": "Reward images against a goal text.",
     "act": "Ask a policy for the next actions towards goal images, a recipe of skills, or a goal text.",

@@ -25,7 +25,7 @@ def demo(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show what freerein does, in three to five minutes: four results of its models, then two models that are learned.
+    """Show what freerein does, in three to five minutes: four results of its models, then two that are learned.
 
     Writes pictures, summary.json and summary.md. The exit code is 1 when a part fails.
     """
