@@ -48,7 +48,7 @@ robustness: dev ## Every model under every condition: runs what lacks a result, 
 	$(BIN)/python -m experiments table robustness
 
 fuzz: dev ## The fault tests with their large counts: 20 000 generated requests per REST API, 20 kills
-	FREEREIN_FUZZ=1 $(BIN)/pytest $(PARALLEL) --timeout 1200 tests/faults
+	FREEREIN_FUZZ=1 $(BIN)/pytest $(PARALLEL) --timeout 1200 tests/faults tests/freerein/test_benchmarks.py
 
 soak: dev ## All five services under mixed load: MINUTES=20, after a minute with a planted leak that must be found
 	$(BIN)/python -m soak --leak --minutes 1
