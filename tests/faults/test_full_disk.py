@@ -28,14 +28,14 @@ STATES = ("full", "read_only")
 
 
 class Disk:
-    """A file system of 8 MiB of its own."""
+    """A file system of 24 MiB of its own."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._ballast = path / "ballast"
 
     def mount(self, *options: str) -> None:
-        subprocess.run(["mount", "-t", "tmpfs", "-o", ",".join(("size=8m", *options)), "tmpfs", self.path], check=True)
+        subprocess.run(["mount", "-t", "tmpfs", "-o", ",".join(("size=24m", *options)), "tmpfs", self.path], check=True)
 
     def unmount(self) -> None:
         subprocess.run(["umount", self.path], check=True)
