@@ -13,6 +13,7 @@ import numpy.typing as npt
 import psutil
 import pytest
 import torch
+from tests.child_processes import children_running
 
 from freerein.clients import Channel, SegmentationClient
 from freerein.errors import FailedPrecondition, InvalidInput, TooLarge
@@ -301,8 +302,7 @@ async def test_a_call_that_is_given_up_ends_its_decoder(
 
 
 def decoders(service: Any) -> list[psutil.Process]:
-    children = psutil.Process(service.process.pid).children()
-    return [child for child in children if "freerein.video.decoder" in child.cmdline()]
+    return children_running("freerein.video.decoder", service.process.pid)
 
 
 @pytest.mark.fault("S9")

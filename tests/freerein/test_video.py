@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import psutil
 import pytest
+from tests.child_processes import children_running
 
 from freerein.errors import InvalidInput, Unimplemented, UnsupportedMedia
 from freerein.video import VideoBounds, open_video
@@ -43,7 +44,7 @@ def decoded(source: bytes | Path, **options: object) -> npt.NDArray[np.uint8]:
 
 
 def decoders() -> list[psutil.Process]:
-    return [child for child in psutil.Process().children() if "freerein.video.decoder" in child.cmdline()]
+    return children_running("freerein.video.decoder")
 
 
 @pytest.mark.parametrize("codec", ["libx264", "libsvtav1"])

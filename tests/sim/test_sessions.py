@@ -3,13 +3,13 @@
 import asyncio
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 import psutil
 import pytest
 import pytest_asyncio
+from tests.child_processes import children_running
 
 from freerein.errors import (
     AlreadyExists,
@@ -138,13 +138,7 @@ def stop(process: psutil.Process) -> None:
 
 def children() -> Workers:
     """Returns the worker processes of this process, which may have other children."""
-    return [child for child in psutil.Process().children() if is_worker(child)]
-
-
-def is_worker(process: psutil.Process) -> bool:
-    with suppress(psutil.Error):
-        return "freerein_sim.workers" in process.cmdline()
-    return False
+    return children_running("freerein_sim.workers")
 
 
 def assert_same(one: StepResponse, other: StepResponse) -> None:

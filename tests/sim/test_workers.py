@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
 from operator import and_, or_
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from tests.child_processes import children_running
 
 from freerein.errors import (
     FailedPrecondition,
@@ -134,13 +134,7 @@ async def start_pool() -> AsyncIterator[StartPool]:
 
 def children() -> list[psutil.Process]:
     """Returns the worker processes of this process, which may have other children."""
-    return [child for child in psutil.Process().children() if is_worker(child)]
-
-
-def is_worker(process: psutil.Process) -> bool:
-    with suppress(psutil.Error):
-        return "freerein_sim.workers" in process.cmdline()
-    return False
+    return children_running("freerein_sim.workers")
 
 
 def open_files(pid: int) -> set[int]:
