@@ -149,8 +149,8 @@ class LocalQueue:
                 return self._store.record(job_id, state, **changes)
             except NotFound:  # its folder was deleted
                 return None
-            except OSError:
-                _log.exception("the end of a job cannot be recorded yet", extra={"job": job_id})
+            except OSError as error:
+                _log.error("the end of a job cannot be recorded yet: %s", error.strerror, extra={"job": job_id})
             if self._closing:
                 return None
             time.sleep(_DISK_S)
