@@ -1,5 +1,6 @@
 """Services as real processes on free ports, for every test that speaks to one over a socket."""
 
+import gc
 import io
 import json
 import os
@@ -94,6 +95,17 @@ def reserve_port() -> int:
     _reserved[-1].setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     _reserved[-1].bind(("127.0.0.1", 0))
     return int(_reserved[-1].getsockname()[1])
+
+
+def pytest_configure() -> None:
+    """Collects no garbage until all tests are found: there is none among them."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Collects garbage from here on."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_unconfigure() -> None:

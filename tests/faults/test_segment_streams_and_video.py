@@ -305,6 +305,7 @@ def decoders(service: Any) -> list[psutil.Process]:
     return children_running("freerein.video.decoder", service.process.pid)
 
 
+@pytest.mark.long
 @pytest.mark.fault("S9")
 async def test_a_video_of_ten_thousand_frames_is_labelled_in_bounded_memory(
     service: Any, client: Any, encode_video: Any

@@ -94,8 +94,10 @@ def test_a_stopped_run_continues_and_records_nothing_twice(
 
 @pytest.mark.parametrize(
     ("config", "killed_at", "replaced_at"),
-    [(EXPERT | {"count": 60}, 3, 5), (CURIOSITY, 2, 5)],
-    ids=["expert", "curiosity"],
+    [
+        pytest.param(EXPERT | {"count": 60}, 3, 5, id="expert"),
+        pytest.param(CURIOSITY, 2, 5, id="curiosity", marks=pytest.mark.long),
+    ],
 )
 def test_a_child_killed_and_a_sim_killed_leave_the_dataset_of_an_undisturbed_run(
     collect: Callable[..., Any],

@@ -64,6 +64,7 @@ def distillation(new_run: Callable[..., Any], data_dir: Path, sim: str) -> Calla
     return new
 
 
+@pytest.mark.long
 @pytest.mark.fault("O1")
 def test_a_run_killed_during_rollouts_and_during_its_fit_comes_to_the_same_dataset_and_fits_once(
     distillation: Callable[..., Any], start_service: Callable[..., Any], data_dir: Path
