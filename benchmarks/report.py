@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
+from experiments.workbench.processor import processor
 from rich.console import Console
 from rich.table import Table
 
@@ -95,7 +96,7 @@ def write(results: Results, path: Path, *, load: Sequence[float]) -> None:
             for benchmark, latencies in results.latencies.items()
             for name in latencies.seconds
         },
-        "machine": {"processor": _processor(), "cores": os.cpu_count(), "system": platform.platform(), "load": load},
+        "machine": {"processor": processor(), "cores": os.cpu_count(), "system": platform.platform(), "load": load},
         "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
     }
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -104,11 +105,3 @@ def write(results: Results, path: Path, *, load: Sequence[float]) -> None:
 
 def _tick(met: bool | None) -> str:
     return "" if met is None else "[green]yes" if met else "[bold red]no"
-
-
-def _processor() -> str:
-    """Returns the processor's model name."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.is_file() else []
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.machine())

@@ -1,4 +1,4 @@
-"""What ours was chosen from: objectives, and what may follow them, in the development world `blocks`."""
+"""What ours is chosen from: objectives, and what may follow them, in the development world `blocks`."""
 
 from experiments.segmentation.dataset import DatasetSpec, SplitSpec
 from experiments.segmentation.experiment import SegmentationExperiment
@@ -6,9 +6,10 @@ from experiments.segmentation.methods import (
     CAUSAL,
     GUESSES_AND_INTERVALS,
     HOW_CHOSEN,
-    LEARNING_RATES,
+    LOOKAHEAD,
     WHOLE,
     objectives,
+    ours,
     ours_after,
     ours_from_lse,
     supervised,
@@ -18,22 +19,26 @@ from experiments.segmentation.study import Method, Study
 from freerein.learning.checkpoints import JSON
 
 _STEPS, _TRIAL_STEPS, _BATCH_SIZE = 1_600, 400, 16
+_LEARNING_RATES = (1.5e-3, 5e-3, 1.5e-2)
 
 _TEXT = f"""\
 Frame accuracy, in per cent of timesteps. `blocks`: an arm moves coloured blocks; training trajectories have 2 or 3
-skills, test trajectories all 4. Here true labels were looked at while methods were chosen. In the other worlds no true
-label chose a row, but rows were added after test figures were known: each table says which. One seed: no claim rests on
-this table. `set_likelihood`, `self_training` and `self_training_0.3` have no result of the present code: what was tried
-is in decision 27.
+skills, test trajectories all 4. Here, and only here, true labels may be looked at while methods are chosen.
 
-All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimiser steps ({_STEPS}, in
-trials {_TRIAL_STEPS}), and differ in
+One recipe is chosen here, and carried unchanged to the worlds of `confirmation`. The rule, written down before any of
+these rows was trained with three seeds: of `ours`, `ours_from_lse`, `ours_after_causal`, `ours_after_lookahead-5`,
+`ours_after_lookahead-10`, `self_training`, `set_likelihood` and `lse_per_timestep` it is the one with the highest frame
+accuracy on the test trajectories, not decoded, as a mean over three seeds; of those within half a point of it, the
+first in that order. How far labels are moved, in the rows of `confirmation` that move them, is chosen here, too: by as
+many timesteps as give a method the highest decoded accuracy, as a mean over its seeds.
+
+All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimiser steps ({_STEPS}, the first 300 to
+warm up; in trials {_TRIAL_STEPS}), and differ in
 {HOW_CHOSEN}
 
 After half of the steps, some rows go on from `lse_per_timestep` with another objective: `set_likelihood`, or
-`self_training` on labels within the tags, with the weight of what skills' actions tell; `long` takes 70 % of the steps
-and 6 rounds for it. `ours_from_lse` is `self_training_1` with `lse` in the place of `lse_per_timestep`,
-`ours_after_causal` is `self_training_1` that sees nothing of the future before.
+`self_training` on labels within the tags; `ours` also weighs what skills' actions tell. `ours_from_lse` is `ours` with
+`lse` in the place of `lse_per_timestep`, `ours_after_CONTEXT` is `ours` that sees less of the future before.
 
 {GUESSES_AND_INTERVALS}
 """
@@ -50,20 +55,22 @@ EXPERIMENT = SegmentationExperiment(
                 "blocks", train=SplitSpec(800, 2, 3), validation=SplitSpec(100, 2, 3), test=SplitSpec(100, 4, 4)
             ),
             methods=(
-                *objectives("lse", contexts=(CAUSAL,)),
-                *objectives("lse_per_timestep", contexts=(WHOLE,)),
-                supervised(),
-                _then("set_likelihood", "set_likelihood"),
-                _then("self_training", "self_training"),
-                _then("self_training_0.3", "self_training", action_evidence=0.3),
-                _then("self_training_1", "self_training", action_evidence=1.0),
+                ours(),
                 ours_from_lse(),
                 ours_after(CAUSAL),
-                _then("self_training_1_long", "self_training", action_evidence=1.0, rounds=6, final_share=0.7),
+                ours_after(LOOKAHEAD),
+                ours_after("lookahead-10"),
+                _then("self_training", "self_training"),
+                _then("set_likelihood", "set_likelihood"),
+                *objectives("lse_per_timestep", contexts=(WHOLE,)),
+                *objectives("lse", contexts=(CAUSAL, WHOLE)),
+                supervised(CAUSAL, WHOLE),
+                *objectives("mil", "fcn_mil", "ccnn", contexts=(CAUSAL,)),
             ),
-            seeds=1,
+            seeds=3,
             settings={
                 "steps": _STEPS,
+                "warmup_steps": 300,
                 "batch_size": _BATCH_SIZE,
                 "stride": 2,
                 "augmentation": 0.0,
@@ -71,7 +78,8 @@ EXPERIMENT = SegmentationExperiment(
                 "checkpoint_every": 100,
             },
             train_evaluated=200,
-            learning_rates=LEARNING_RATES,
+            guesses=("random", "random_cls", "majority", "equal_parts", "truth"),
+            learning_rates=_LEARNING_RATES,
             trial_steps=_TRIAL_STEPS,
         ),
     ),

@@ -99,7 +99,13 @@ def _study(world: str) -> Study:
 def _shown(result: ArmResult) -> Shown:
     data = _study(result.world).data
     part = draw.Part(
-        data.task, data.seed, SPLITS.index("test"), data.test.least_skills, data.test.most_skills, first=0, stop=1
+        data.task,
+        data.seed_of("test"),
+        SPLITS.index("test"),
+        data.test.least_skills,
+        data.test.most_skills,
+        first=0,
+        stop=1,
     )
     (drawn,) = draw.demonstrations(part)
     labels: Any = result.shown[SHOWN_LABELS]

@@ -33,7 +33,7 @@ from freerein_segmentation.training import SegmentationConfig
 AUGMENTATION: Mapping[str, float] = MappingProxyType({"augmented": 1.0, "plain": 0.0})
 """Strength of the camera augmentation of a fit, by variant; the first is the library's default."""
 
-SEGMENTATION, REWARD, PPO, PPO_SPEED = "segmentation", "reward", "ppo", "ppo_speed"
+SEGMENTATION, REWARD, PPO = "segmentation", "reward", "ppo"
 
 _VERSION = 1
 """Of the evaluation; a new one replaces all results."""
@@ -77,7 +77,7 @@ class RobustnessExperiment:
             ),
             *(Arm(task, PPO) for task in tasks),
             *policies.arms(self.seeds),
-            Arm(policies.SIDES[0], PPO_SPEED),
+            *(Arm(policies.SIDES[0], policies.PPO_SPEED, seed=run) for run in range(policies.SPEED_RUNS)),
         )
 
     @property
@@ -94,7 +94,7 @@ class RobustnessExperiment:
         config: dict[str, object] = {"version": _VERSION}
         if arm.method == policies.LANGUAGE:
             config["teachers"] = list(self._policies.values())
-        if arm.method == PPO_SPEED:
+        if arm.method == policies.PPO_SPEED:
             return config
         if arm.method in policies.METHODS:
             return config | {"steps": list(policies.METHODS[arm.method].steps(arm))}
@@ -126,7 +126,7 @@ class RobustnessExperiment:
         """Fits where no other arm has, and evaluates; see `Experiment`. Checkpoints are in `work`."""
         if arm.method in policies.METHODS:
             return _train_policy(arm, folder, on_progress)
-        if arm.method == PPO_SPEED:
+        if arm.method == policies.PPO_SPEED:
             return speed.evaluate()
         torch.set_num_threads(1)
         if found := _FOUND.get((arm.world, arm.method)):

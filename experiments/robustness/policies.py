@@ -25,11 +25,11 @@ TOLD_OWN, WORDINGS = "told.own", "told.wordings"
 
 GOAL_CLONING, GOAL_CONDITIONED = "goal_cloning", "goal_conditioned"
 SKILLS, EXPERT = "skills", "expert"
-PPO, LANGUAGE = "ppo_training", "language"
+PPO, LANGUAGE, PPO_SPEED = "ppo_training", "language", "ppo_speed"
 
 SIDES = ("blocks.yellow-left-of-green", "blocks.yellow-right-of-green")
 STACK = "blocks.yellow-on-top-of-green"
-PPO_SEEDS = 5
+PPO_SEEDS, SPEED_RUNS = 5, 9
 TEACHERS = ("yellow-left-of-green", "yellow-right-of-green")
 """Shipped policies, from which a language policy is distilled."""
 

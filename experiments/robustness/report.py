@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 
-from experiments.robustness import scenes, visited_states, wordings
+from experiments.robustness import policies, scenes, speed, visited_states, wordings
 from experiments.robustness.heat_map import heat_map
-from experiments.robustness.targets import BASELINE, OURS, Made, make_claims, samples_of
+from experiments.robustness.targets import BASELINE, OURS, Made, make_claims, processor_of, samples_of
 from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, SCATTERED, conditions
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.workbench import claims
@@ -108,6 +108,7 @@ def table(results: Sequence[ArmResult]) -> Table:
             _absent_section(results),
             _wordings_section(results),
             _visited_section(results),
+            _speed_section(results),
         ),
         claims=tuple(each.claim for each in made),
         picture=Picture("Every model under every condition, per cent", partial(_picture, results, columns)),
@@ -156,12 +157,14 @@ def _picture(results: Sequence[ArmResult], columns: Sequence[_Column]) -> bytes:
 def _claims_section(made: Sequence[Made]) -> Section:
     rows = []
     for each in made:
-        claim, found = each.claim, each.worst if len(each.target.samples) > 1 else ""
-        interval = f"{claim.value:.4g} [{claim.low:.4g}, {claim.high:.4g}]"
+        claim, found = each.claim, each.worst if len(each.target.samples) > 1 or each.target.of_runs else ""
+        of_runs = f" of {claim.trials} runs" if each.target.of_runs else ""
+        interval = f"{claim.value:.4g} [{claim.low:.4g}, {claim.high:.4g}{of_runs}]"
         met = {True: "yes", False: "**no**", None: ""}[claim.met]
         beside = ("" if value is None else f"{value:.4g}" for value in (claim.baseline, claim.ceiling))
         rows.append((f"`{claim.claim}`", each.target.text, interval, each.target.must_reach, met, *beside, found))
-    header = ("claim", "what", "value [95 % interval]", "must reach", "met", "baseline", "ceiling", "the worst is")
+    value = "value [95 % interval; of runs: median, range]"
+    header = ("claim", "what", value, "must reach", "met", "baseline", "ceiling", "the worst is, or the processor")
     return Section(header, tuple(rows), "Claims")
 
 
@@ -200,13 +203,46 @@ def _wordings_section(results: Sequence[ArmResult]) -> Section:
 
 
 def _visited_section(results: Sequence[ArmResult]) -> Section:
-    rows, figures = [], (visited_states.PRECISION, visited_states.RECALL, visited_states.SHARE_TRUE)
+    rows, figures = (
+        [],
+        (
+            visited_states.PRECISION,
+            visited_states.RECALL,
+            visited_states.SHARE_TRUE,
+            visited_states.FALSE_POSITIVE_RATE,
+            visited_states.PRECISION_AT_SHARE,
+        ),
+    )
     for world in sorted({each.world for each in results} - {DEMONSTRATED, SCATTERED}):
         for variant in _VARIANTS:
             if arms := _arms(results, _Column("", "", world, "reward", variant, "")):
                 rows.append((world, variant, *(_interval(arms, figure) for figure in figures)))
-    header = ("task", "fit", "precision", "recall", "share of states in which the goal holds")
+    header = (
+        "task",
+        "fit",
+        "precision",
+        "recall",
+        "share of states in which the goal holds (precision of a constant reward)",
+        "false positive rate",
+        "precision if that share were 40 %",
+    )
     return Section(header, tuple(rows), "Reward on states that PPO's policies visit")
+
+
+def _speed_section(results: Sequence[ArmResult]) -> Section:
+    """Every run: none is replaced by another."""
+    figures = (speed.TICKS_PER_S, speed.TICKS_PER_S_HELD, speed.NETWORK_VS_IN_PROCESS)
+    rows = [
+        (
+            str(each.seed),
+            processor_of(each),
+            *(f"{each.samples[name].mean:.4g}" if name in each.samples else "" for name in figures),
+        )
+        for each in results
+        if each.method == policies.PPO_SPEED
+    ]
+    header = ("run", "processor", "control ticks per second", "actions held for two ticks", "of those in one process")
+    return Section(header, tuple(rows), "Speed of PPO on the learned reward, every run")
 
 
 def _interval(arms: Sequence[ArmResult], name: str) -> str:

@@ -1,8 +1,11 @@
 """The claims of the benchmark: what each measures, what it must reach, and the worst of the figures that it names."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from experiments.robustness import confidence, policies, scenes, speed, visited_states, wordings
 from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, NOMINAL, SCATTERED, conditions
@@ -15,6 +18,8 @@ OURS, BASELINE = "augmented", "plain"
 """Variants of a fit: the one that claims are of, and the one that they are compared with."""
 
 _PER_CENT, _SHARE = 100, 1
+LEAST_RUNS = 5
+"""Runs that a claim of runs needs."""
 _PUSHER = 5.0
 """Per cent of the expert that a policy earns at most, from starts in the wrong order, that only pushes blocks."""
 
@@ -36,6 +41,8 @@ class Target:
         method: Method of the arms; empty for the fits that have variants.
         baseline: Method of the arms that they are compared with.
         ceiling: Method of the arms that they cannot exceed, if any.
+        of_runs: Whether it is of runs of the same thing, such as a speed: their median, and their range in the place of
+            an interval, on the processor with most of them.
     """
 
     claim: str
@@ -50,6 +57,7 @@ class Target:
     method: str = ""
     baseline: str = ""
     ceiling: str = ""
+    of_runs: bool = False
 
     @property
     def has_bar(self) -> bool:
@@ -108,7 +116,7 @@ def _reinforced(claim: str, text: str, least: float, worlds: tuple[str, ...], sa
 
 
 def _speed(claim: str, text: str, sample: str, *, least: float | None = None, **more: Any) -> Target:
-    return Target(claim, text, policies.SIDES[:1], (sample,), least, method="ppo_speed", **more)
+    return Target(claim, text, policies.SIDES[:1], (sample,), least, method=policies.PPO_SPEED, of_runs=True, **more)
 
 
 def _told(claim: str, text: str, *samples: str, least: float, **more: Any) -> Target:
@@ -133,13 +141,26 @@ TARGETS = (
     ),
     Target(
         "reward_precision",
-        "precision of the reward on states that PPO's policies visit, at recall ≥ 0.9",
+        "precision of the reward on states that PPO's policies visit, as if 40 % were of the goal, at recall ≥ 0.9",
         (),
-        (visited_states.PRECISION,),
+        (visited_states.PRECISION_AT_SHARE,),
         least=0.97,
         also=("reward_recall",),
     ),
     Target("reward_recall", "recall of the reward there", (), (visited_states.RECALL,), least=0.9),
+    Target(
+        "reward_false_positives",
+        "share of the states there in which the goal does not hold that are rewarded",
+        (),
+        (visited_states.FALSE_POSITIVE_RATE,),
+    ),
+    Target("reward_precision_visited", "precision of the reward there, as visited", (), (visited_states.PRECISION,)),
+    Target(
+        "reward_base_rate",
+        "share of the states there in which the goal holds: the precision of a reward that is always given",
+        (),
+        (visited_states.SHARE_TRUE,),
+    ),
     Target(
         "wordings",
         "recall of the reward, worst class of wordings, at a false rate ≤ 0.04",
@@ -228,10 +249,12 @@ def make_claims(results: Sequence[ArmResult], wanted: Sequence[Target] = TARGETS
 
 def samples_of(results: Sequence[ArmResult], name: str) -> list[Sample]:
     """Returns a figure of each seed; trials in several worlds are joined."""
-    by_seed: dict[int, list[Sample]] = {}
+    by_seed: dict[int, list[ArmResult]] = {}
     for result in results:
-        by_seed.setdefault(result.seed, []).append(result.samples[name])
-    return [_join(each) for each in by_seed.values()]
+        by_seed.setdefault(result.seed, []).append(result)
+    if name in (visited_states.PRECISION_AT_SHARE, visited_states.FALSE_POSITIVE_RATE):
+        return [visited_states.derived(_joined(each))[name] for each in by_seed.values()]
+    return [_join([result.samples[name] for result in each]) for each in by_seed.values()]
 
 
 def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
@@ -240,6 +263,8 @@ def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
     ceilings = _arms(target, results, target.ceiling)
     if not arms:
         return None
+    if target.of_runs:
+        return _make_of_runs(target, arms)
     values = {name: target.unit * claims.mean(samples_of(arms, name)) for name in target.samples}
     worst = (max if target.least is None else min)(values, key=values.__getitem__)
     samples = samples_of(arms, worst)
@@ -266,6 +291,39 @@ def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
     return Made(target, claim, worst)
 
 
+def _make_of_runs(target: Target, results: Sequence[ArmResult]) -> Made:
+    """Returns a claim of runs on one processor; others are in the table only."""
+    (processor, _), *_ = Counter(processor_of(each) for each in results).most_common()
+    runs = [each for each in results if processor_of(each) == processor]
+    (name,) = target.samples
+    values = [target.unit * each.samples[name].mean for each in runs if name in each.samples]
+    median, low, high = (_rounded(float(each)) for each in (np.median(values), min(values), max(values)))
+    claim = Claim(
+        claim=target.claim,
+        value=median,
+        low=low,
+        high=high,
+        seeds=None,
+        trials=len(values),
+        scale=None,
+        baseline=None,
+        ceiling=None,
+        gap_closed=None,
+        dissertation=None,
+        target=target.least,
+        met=target.is_reached(median, low) and len(values) >= LEAST_RUNS if target.has_bar else None,
+        world_version=runs[0].world_version,
+        command=_command(runs),
+        minutes=round(sum(each.minutes for each in runs), 2),
+    )
+    return Made(target, claim, processor)
+
+
+def processor_of(result: ArmResult) -> str:
+    """Returns the processor that an arm ran on."""
+    return str(result.machine["processor"])
+
+
 def _with_others(made: Made, reached: Mapping[str, bool]) -> Made:
     others = all(reached.get(name, False) for name in made.target.also)
     return replace(made, claim=replace(made.claim, met=bool(made.claim.met) and others))
@@ -283,6 +341,11 @@ def _arms(target: Target, results: Sequence[ArmResult], method: str, variant: st
 
 def _mean(target: Target, arms: Sequence[ArmResult], name: str) -> float | None:
     return _rounded(target.unit * claims.mean(samples_of(arms, name))) if arms else None
+
+
+def _joined(results: Sequence[ArmResult]) -> dict[str, Sample]:
+    """Returns all samples of results of one seed; trials in several worlds are joined."""
+    return {name: _join([each.samples[name] for each in results]) for name in results[0].samples}
 
 
 def _join(parts: Sequence[Sample]) -> Sample:

@@ -1,5 +1,6 @@
 """The reward on states that PPO's policies visit, and what these policies achieve under each condition."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,10 @@ from freerein_reward.model import DualEncoderModel
 from freerein_sim.worlds.tasks import tasks
 
 PRECISION, RECALL, RETURN, SHARE_TRUE = "precision", "recall", "return", "true"
+FALSE_POSITIVE_RATE, PRECISION_AT_SHARE = "false-positive-rate", "precision-at-0.4"
+"""What follows from the others; see `derived`."""
+
+_SHARE = 0.4
 
 Flags = npt.NDArray[np.bool_]
 
@@ -54,6 +59,26 @@ def evaluate(model: DualEncoderModel, policy: StoredPolicy, work: Path) -> Outco
             SHARE_TRUE: _share(holds, np.ones(len(holds), np.bool_), drawn),
         },
     )
+
+
+def derived(samples: Mapping[str, Sample]) -> dict[str, Sample]:
+    """Returns the false positive rate, and the precision as it were if the goal held in 40 % of the states.
+
+    Precision falls as the goal holds less often; policies that do well hide false positives. For it, states in which
+    the goal holds and others are weighed so that the former are 40 %; these weights are held fixed in intervals.
+
+    Args:
+        samples: `PRECISION`, `RECALL` and `SHARE_TRUE` of the same episodes.
+    """
+    rewarded, (right, holds) = samples[PRECISION].counts, (samples[RECALL].totals, samples[RECALL].counts)
+    steps = samples[SHARE_TRUE].counts
+    wrong = np.subtract(rewarded, right) * (np.sum(right) > 0)  # where nothing is rewarded, counts are no counts
+    others = np.subtract(steps, holds)
+    weighed = np.multiply(right, _SHARE / np.sum(holds)), wrong * ((1 - _SHARE) / np.sum(others))
+    return {
+        FALSE_POSITIVE_RATE: Sample(wrong.tolist(), others.tolist()),
+        PRECISION_AT_SHARE: Sample(weighed[0].tolist(), np.add(*weighed).tolist()),
+    }
 
 
 def evaluate_policy(policy: StoredPolicy, work: Path) -> Outcome:

@@ -58,6 +58,7 @@ class DatasetSpec:
         validation: Trajectories that choose weights and learning rates.
         test: Trajectories that are evaluated once.
         seed: Seed of every random draw.
+        test_seed: Seed of the test trajectories alone, where it is another.
     """
 
     task: str
@@ -65,6 +66,7 @@ class DatasetSpec:
     validation: SplitSpec
     test: SplitSpec
     seed: int = 0
+    test_seed: int | None = None
 
     @property
     def world(self) -> WorldSpec:
@@ -74,6 +76,10 @@ class DatasetSpec:
     def split(self, name: SplitName) -> SplitSpec:
         """Returns the spec of a split."""
         return {"train": self.train, "validation": self.validation, "test": self.test}[name]
+
+    def seed_of(self, name: SplitName) -> int:
+        """Returns the seed that a split is drawn from."""
+        return self.seed if name != "test" or self.test_seed is None else self.test_seed
 
 
 def folder_of(spec: DatasetSpec, work: Path) -> Path:
@@ -94,16 +100,19 @@ def open_or_draw(spec: DatasetSpec, work: Path) -> Path:
     return folder
 
 
-def open_split(folder: Path, spec: DatasetSpec, name: SplitName) -> Trajectories:
-    """Returns what learners may see of a split: frames, actions and tags, mapped from disk."""
+def open_split(folder: Path, spec: DatasetSpec, name: SplitName, *, sees_frames: bool = True) -> Trajectories:
+    """Returns what learners may see of a split: frames, or black ones, actions and tags, mapped from disk."""
     world = spec.world
     camera, action = world.cameras[0], world.action
     lengths = np.fromfile(folder / name / "lengths.raw", np.int64)  # (n,)
     tags = np.fromfile(folder / name / "tags.raw", np.bool_).reshape(len(lengths), -1)  # (n, K)
     frame_shape = (camera.height, camera.width, camera.channels)
     action_dtype: np.dtype[Any] = np.dtype(np.int64 if action.choices else np.float32)
+    frames = step_cache(folder / name / "frames.raw", lengths, np.dtype(np.uint8), frame_shape)
+    if not sees_frames:
+        frames = StepCache(np.broadcast_to(np.uint8(0), (int(lengths.sum()), *frame_shape)), frames.offsets)
     return Trajectories(
-        {camera.name: step_cache(folder / name / "frames.raw", lengths, np.dtype(np.uint8), frame_shape)},
+        {camera.name: frames},
         step_cache(folder / name / "actions.raw", lengths, action_dtype, (action.size,)),
         skills=[tuple(world.skills[index] for index in np.flatnonzero(row)) for row in tags],
     )
@@ -122,7 +131,7 @@ def _draw_split(spec: DatasetSpec, name: SplitName, folder: Path) -> None:
     bounds = np.linspace(0, split.count, count + 1).astype(int).tolist()
     parts = {
         folder / "parts" / f"{name}-{first}": draw.Part(
-            spec.task, spec.seed, SPLITS.index(name), split.least_skills, split.most_skills, first, stop
+            spec.task, spec.seed_of(name), SPLITS.index(name), split.least_skills, split.most_skills, first, stop
         )
         for first, stop in pairwise(bounds)
     }

@@ -13,15 +13,20 @@ from freerein.types.segmentation import NO_SKILL
 from freerein_segmentation.core import decoding
 from freerein_segmentation.core.decoding import smooth
 from freerein_segmentation.model import SegmentationNetwork
-from freerein_segmentation.training import Confidence, gather
+from freerein_segmentation.objectives import OBJECTIVES
+from freerein_segmentation.objectives.set_likelihood import set_likelihood
+from freerein_segmentation.training import Confidence, SegmentationConfig, gather
 
 Labels = npt.NDArray[np.int64]
 Probabilities = npt.NDArray[np.float32]
 
 FRAME_ACCURACY, DECODED_ACCURACY, KEPT_ACCURACY = "frame_accuracy", "decoded_accuracy", "kept_accuracy"
 CONFIDENT_ACCURACY = "confident_kept_accuracy"
-TAG_LOSS = "validation_loss"
-"""Loss of held-out tags."""
+TAG_LOSS, GUESSED_TAG_LOSS = "validation_loss", "guessed_validation_loss"
+"""Loss of held-out tags: of a network, and of the best scores that are the same for all timesteps."""
+
+DELAY = "delay"
+"""By how many timesteps labels are late, read off actions; see `delay`."""
 
 ACTION_LOSS = "action_loss"
 """Negative log-likelihood of held-out actions given frame and label, in nats per timestep, whatever the labels' source;
@@ -58,6 +63,15 @@ def predict(network: SegmentationNetwork, seen: Trajectories, *, count: int) -> 
     return predicted
 
 
+def guessed_tag_loss(config: SegmentationConfig, tags: npt.NDArray[np.bool_]) -> float:
+    """Returns `GUESSED_TAG_LOSS` of tags, bool (n, K), by the loss that ends a fit of a configuration."""
+    objective = OBJECTIVES[config.objective] if config.final_objective == "none" else set_likelihood
+    known = torch.from_numpy(tags)
+    shares = (known / known.sum(dim=1, keepdim=True)).mean(dim=0)  # (K,)
+    scores = shares.clamp(min=1e-6).log().expand(len(known), 1, -1)  # (n, 1, K)
+    return objective(scores, torch.ones(len(known), 1, dtype=torch.bool), known).mean().item()
+
+
 def decode(probabilities: Probabilities) -> Labels:
     """Returns labels int64 (T,) as the service decodes them: smoothed, short segments merged."""
     smoothed = smooth(probabilities, sigma=SMOOTHING)
@@ -86,15 +100,16 @@ def score_guess(predicted: Sequence[Labels], truth: Sequence[Labels], *, split: 
     return _named(split, {**figures, "balanced_accuracy": balanced}, {FRAME_ACCURACY: accuracy})
 
 
-def score(predicted: Sequence[Probabilities], truth: Sequence[Labels], *, split: str) -> Outcome:
-    """Returns the figures of probabilities, float32 (T, K) per trajectory.
+def score(
+    predicted: Sequence[Probabilities], decoded: Sequence[Labels], truth: Sequence[Labels], *, split: str
+) -> Outcome:
+    """Returns the figures of probabilities, float32 (T, K) per trajectory, and of what they are decoded to.
 
     They are of the most probable skills, as in `score_guess`, of decoded labels, and of what is kept when short
     segments are rejected, after smoothing and without, and when uncertain timesteps are rejected first.
     """
     raw = [each.argmax(axis=1) for each in predicted]
     found = score_guess(raw, truth, split=split)
-    decoded = [decode(each) for each in predicted]
     accuracy = _accuracy(decoded, truth)
     segments = {f"decoded_{name}": value for name, value in _segment_figures(decoded, truth).items()}
     smoothed = [smooth(each, sigma=SMOOTHING) for each in predicted]

@@ -8,6 +8,7 @@ import numpy as np
 
 from experiments.segmentation import (
     dataset,
+    delay,
     evaluation,
     report,
     served,
@@ -17,7 +18,8 @@ from experiments.segmentation import (
     weakly_supervised,
 )
 from experiments.segmentation.dataset import SPLITS, DatasetSpec, SplitName
-from experiments.segmentation.guesses import GUESSES
+from experiments.segmentation.guesses import GUESSES, TRUTH
+from experiments.segmentation.packed import pack
 from experiments.segmentation.report import Report
 from experiments.segmentation.study import ACTION_STEPS, SUPERVISED, Study
 from experiments.workbench.arms import Arm
@@ -25,13 +27,17 @@ from experiments.workbench.configs import Config
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.jobs.child import stop_on_sigterm
+from freerein.learning.checkpoints import JSON
 from freerein.learning.fit import FitResult, Learner, fit
 from freerein.learning.model_files import choose_device
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, held_out_action_loss
 
-SHOWN_LABELS = "test.labels"
-"""What a network shows: its labels of the first test trajectories."""
+SHOWN_LABELS, PACKED, PACKED_DECODED = "test.labels", "packed_labels", "packed_decoded_labels"
+"""What a network shows: its labels of the first test trajectories, and, packed, of all of them; see `packed`."""
+
+DELAY_LOSSES = "delay.action_losses"
+"""What else it shows: see `delay.action_losses`."""
 
 _SHOWN = 4
 _LABELLED: tuple[SplitName, ...] = ("train", "validation")
@@ -49,6 +55,7 @@ class ArmConfig:
         fit: The fit of its network; None for a guess.
         trials: Learning rates that are tried before, and the steps of each; None where nothing is.
         action_steps: As in `Study`.
+        sees_frames: As in `Study`.
     """
 
     data: DatasetSpec
@@ -56,6 +63,7 @@ class ArmConfig:
     fit: SegmentationConfig | None = None
     trials: Mapping[str, object] | None = None
     action_steps: int = ACTION_STEPS
+    sees_frames: bool = True
 
 
 @dataclass(frozen=True)
@@ -88,7 +96,13 @@ class SegmentationExperiment:
             return guessed
         is_tried = study.tries_learning_rates(arm)
         tried = {"learning_rates": study.learning_rates, "steps": study.trial_steps} if is_tried else None
-        return replace(guessed, fit=study.fit_config(arm), trials=tried, action_steps=study.action_steps)
+        return replace(
+            guessed,
+            fit=study.fit_config(arm),
+            trials=tried,
+            action_steps=study.action_steps,
+            sees_frames=study.sees_frames(arm),
+        )
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Draws the demonstrations, or waits until another arm has drawn them."""
@@ -118,7 +132,7 @@ class SegmentationExperiment:
         fitted = _fit(learner, folder, on_progress)
         if fitted is None:
             return None
-        outcome = _evaluate(study, fitted, config, data)
+        outcome = _evaluate(study, arm, fitted, config, data)
         if isinstance(learner, SegmentationLearner):
             outcome = _joined([outcome, evaluation.score_confidence(learner.confidence(fitted))])
             command = f"python -m experiments run {self.report.experiment} --only {arm.name}"
@@ -143,14 +157,17 @@ def _guess(study: Study, arm: Arm, data: Path) -> Outcome:
         known = truth.first_labels(data, split, _evaluated(study, split))
         guessed = [guess(each, skills=skills, rng=rng) for each in known]
         parts.append(evaluation.score_guess(guessed, known, split=split))
+        if arm.method == TRUTH:
+            parts.append(Outcome({}, {}, {f"{split}.{PACKED}": pack(known)}))
     return _joined(parts)
 
 
 def _learner(
     study: Study, arm: Arm, config: SegmentationConfig, data: Path
 ) -> SegmentationLearner | supervised.SupervisedLearner:
-    make = supervised.make_learner if arm.method == SUPERVISED else weakly_supervised.make_learner
-    return make(config, study.data, data)
+    if arm.method == SUPERVISED:
+        return supervised.make_learner(config, study.data, data)
+    return weakly_supervised.make_learner(config, study.data, data, sees_frames=study.sees_frames(arm))
 
 
 def _fit(learner: Learner[SegmentationNetwork], folder: Path, on_progress: Callable[[], None]) -> Fitted | None:
@@ -159,17 +176,33 @@ def _fit(learner: Learner[SegmentationNetwork], folder: Path, on_progress: Calla
         return fit(learner, folder, stop=stop, on_event=lambda _: on_progress())
 
 
-def _evaluate(study: Study, fitted: Fitted, config: SegmentationConfig, data: Path) -> Outcome:
+def _evaluate(study: Study, arm: Arm, fitted: Fitted, config: SegmentationConfig, data: Path) -> Outcome:
     chosen = {"lr": config.lr, "best_step": float(fitted.best_step), evaluation.TAG_LOSS: fitted.validation_loss}
-    parts, labels = [Outcome(chosen, {})], {}
+    parts, labels, decoded = [Outcome(chosen, {})], {}, {}
     for split in SPLITS:
         count = _evaluated(study, split)
-        predicted = evaluation.predict(fitted.network, dataset.open_split(data, study.data, split), count=count)
-        parts.append(evaluation.score(predicted, truth.first_labels(data, split, count), split=split))
+        seen = dataset.open_split(data, study.data, split, sees_frames=study.sees_frames(arm))
+        predicted = evaluation.predict(fitted.network, seen, count=count)
         labels[split] = [each.argmax(axis=1) for each in predicted]
-    shown = [each.tolist() for each in labels["test"][:_SHOWN]]
-    explained = _action_loss(study, labels, spec=fitted.network.spec, data=data)
-    return _joined([*parts, Outcome({evaluation.ACTION_LOSS: explained}, {}, {SHOWN_LABELS: shown})])
+        decoded[split] = [evaluation.decode(each) for each in predicted]
+        parts.append(evaluation.score(predicted, decoded[split], truth.first_labels(data, split, count), split=split))
+    shown: dict[str, JSON] = {
+        SHOWN_LABELS: [each.tolist() for each in labels["test"][:_SHOWN]],
+        f"test.{PACKED}": pack(labels["test"]),
+        f"test.{PACKED_DECODED}": pack(decoded["test"]),
+    }
+    training, validation = (
+        dataset.open_split(data, study.data, split, sees_frames=study.sees_frames(arm)) for split in _LABELLED
+    )
+    late = delay.action_losses(fitted.network, training, decoded["train"], validation, decoded["validation"])
+    figures = {
+        evaluation.ACTION_LOSS: _action_loss(study, labels, spec=fitted.network.spec, data=data),
+        evaluation.DELAY: float(np.argmin(late)),
+    }
+    if arm.method != SUPERVISED:
+        tags = np.array([[skill in each for skill in study.data.world.skills] for each in validation.skills])
+        figures[evaluation.GUESSED_TAG_LOSS] = round(evaluation.guessed_tag_loss(config, tags), 6)
+    return _joined([*parts, Outcome(figures, {}, {**shown, DELAY_LOSSES: list(late)})])
 
 
 def _action_loss(

@@ -1,4 +1,4 @@
-"""Baselines without a network. They know the true labels' lengths, their skills, the longest one, or the first."""
+"""Baselines without a network. They know the true labels' lengths, their skills, the longest one, or the order."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -7,7 +7,12 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from freerein import metrics
+
 Labels = npt.NDArray[np.int64]
+
+TRUTH = "truth"
+"""Not a baseline: its results hold the true labels."""
 
 
 class Guess(Protocol):
@@ -38,12 +43,30 @@ def split_in_half(truth: Labels, *, skills: int, rng: np.random.Generator) -> La
     return np.repeat(truth[[0, -1]], [half, len(truth) - half])
 
 
+def split_equally(truth: Labels, *, skills: int, rng: np.random.Generator) -> Labels:
+    """Returns the true skills in their true order, each for an equal part of the time."""
+    return in_equal_parts(truth)
+
+
+def tell_truth(truth: Labels, *, skills: int, rng: np.random.Generator) -> Labels:
+    """Returns the true labels, which results of other labels are compared with later."""
+    return truth
+
+
+def in_equal_parts(labels: Labels) -> Labels:
+    """Returns the skills of labels (T,) in their order, each for an equal part of the time."""
+    order = labels[metrics.run_starts(labels)]
+    return order[np.arange(len(labels)) * len(order) // len(labels)]
+
+
 GUESSES: Mapping[str, Guess] = MappingProxyType(
     {
         "random": guess_skill,
         "random_cls": guess_tag,
         "majority": guess_majority,
         "fixed_split": split_in_half,
+        "equal_parts": split_equally,
+        TRUTH: tell_truth,
     }
 )
 """Baselines by name."""

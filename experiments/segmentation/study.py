@@ -26,11 +26,15 @@ class Method:
         name: Its name in tables and arms.
         contexts: Contexts of the network that it is trained in; see `context_of`.
         settings: Keys of the segmentation service's configuration that it alone sets; `SUPERVISED` needs none.
+        sees_frames: Whether frames are shown to its networks as they are; otherwise all are black.
+        seeds: Number of its networks, where it is another than the study's.
     """
 
     name: str
     contexts: tuple[str, ...]
     settings: Mapping[str, JSON] = field(default_factory=dict)
+    sees_frames: bool = True
+    seeds: int | None = None
 
 
 @dataclass(frozen=True)
@@ -44,8 +48,8 @@ class Study:
         settings: Keys of the segmentation service's configuration that all methods share.
         train_evaluated: Number of training trajectories that are evaluated.
         guesses: Names of the baselines without a network; see `guesses.GUESSES`.
-        learning_rates: What each method and context tries in shorter fits, before the first of its seeds, unless it
-            has one of its own; the lowest validation loss chooses. Empty: `settings` has the learning rate.
+        learning_rates: What each method and context tries first in shorter fits, before the first of its seeds, unless
+            it has one of its own; see `trials`. Empty: `settings` has the learning rate.
         trial_steps: Optimiser steps of these fits.
         action_steps: Optimiser steps of the network that clones actions, for `evaluation.ACTION_LOSS`.
     """
@@ -71,8 +75,9 @@ class Study:
         guesses = [Arm(self.world, name) for name in self.guesses]
         networks = [
             Arm(self.world, method.name, {"context": context}, seed)
-            for seed in range(self.seeds)
+            for seed in range(max(map(self._seeds_of, self.methods)))
             for method in self.methods
+            if seed < self._seeds_of(method)
             for context in method.contexts
         ]
         return (*guesses, *networks)
@@ -91,11 +96,18 @@ class Study:
         """Returns whether the learning rate of an arm's network has yet to be chosen."""
         return bool(self.learning_rates) and "lr" not in self._method(arm).settings
 
+    def sees_frames(self, arm: Arm) -> bool:
+        """Returns whether an arm's network is shown frames as they are."""
+        return self._method(arm).sees_frames
+
     def fit_config(self, arm: Arm) -> SegmentationConfig:
         """Returns the configuration of an arm's network; see `tries_learning_rates`."""
         context = context_of(arm.options["context"])
         values = {**self.settings, **self._method(arm).settings, "context": context, "seed": arm.seed}
         return SegmentationConfig.from_mapping(values)
+
+    def _seeds_of(self, method: Method) -> int:
+        return self.seeds if method.seeds is None else method.seeds
 
     def _method(self, arm: Arm) -> Method:
         (method,) = (each for each in self.methods if each.name == arm.method)

@@ -1,4 +1,6 @@
-"""Trials: short fits of one method with each learning rate, of which the lowest validation loss chooses.
+"""Trials: short fits of one method with several learning rates, of which the lowest validation loss chooses.
+
+Rates are tried until the best lies between two others.
 
     <results>/trials/<world>-<method>-<context>.json
 
@@ -7,7 +9,8 @@ their choice.
 """
 
 import json
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +23,7 @@ from experiments.workbench.configs import Config, is_same, to_json
 from experiments.workbench.locks import locked
 from freerein.atomic_files import write_atomic
 from freerein.errors import FailedPrecondition
+from freerein.learning.fit import TrainingFailed
 from freerein_segmentation.training import SegmentationConfig
 
 _OF_FINAL = ("final_objective", "final_share", "rounds", "switching_cost", "action_evidence", "tag_context")
@@ -31,6 +35,9 @@ _NO_TEST = SplitSpec(count=0, least_skills=0, most_skills=0)
 
 Fit = Callable[[SegmentationConfig, Path], float | None]
 """Fits in a folder, or resumes; returns the lowest validation loss, None when it was stopped."""
+
+_LADDER = (5e-6, 1.5e-5, 5e-5, 1.5e-4, 5e-4, 1.5e-3, 5e-3, 1.5e-2, 5e-2, 1.5e-1, 5e-1)
+"""Rates that may be tried."""
 
 
 def choose_lr(study: Study, arm: Arm, fit: Fit, *, results: Path, work: Path) -> float | None:
@@ -50,6 +57,7 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, results: Path, work: Path) ->
         "data": replace(study.data, test=_NO_TEST),
         "learning_rates": study.learning_rates,
         "world_version": world_version(study.world),
+        **({} if study.sees_frames(arm) else {"sees_frames": False}),
     }
     name = _trials_name(arm)
     path = results / "trials" / f"{name}.json"
@@ -57,14 +65,18 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, results: Path, work: Path) ->
     with locked(folder / "lock"):
         if path.is_file() and is_same((found := json.loads(path.read_bytes()))["made_by"], made_by):
             return float(found["lr"])
-        losses: dict[str, float] = {}
-        for lr in study.learning_rates:
-            loss = fit(replace(config, lr=lr), folder / f"lr-{lr:g}")
+        losses: dict[float, float] = {}
+        while untried := _untried(losses, study.learning_rates):
+            try:
+                loss = fit(replace(config, lr=untried[0]), folder / f"lr-{untried[0]:g}")
+            except TrainingFailed:
+                loss = math.inf
             if loss is None:
                 return None
-            losses[f"{lr:g}"] = round(loss, 6)
-        best = min(study.learning_rates, key=lambda lr: losses[f"{lr:g}"])
-        made = {"made_by": to_json(made_by), "validation_loss": losses, "lr": best}
+            losses[untried[0]] = loss
+        best = min(losses, key=losses.__getitem__)
+        shown = {f"{lr:g}": round(losses[lr], 6) if math.isfinite(losses[lr]) else None for lr in sorted(losses)}
+        made = {"made_by": to_json(made_by), "validation_loss": shown, "lr": best}
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, json.dumps(made, indent=2, allow_nan=False).encode() + b"\n")
         return best
@@ -83,6 +95,14 @@ def chosen_lr(arm: Arm, results: Path) -> float:
             hint=f"Run: python -m experiments run {results.name} --only '{_trials_name(arm)}-seed0'.",
         )
     return float(json.loads(path.read_bytes())["lr"])
+
+
+def _untried(losses: Mapping[float, float], first: Sequence[float]) -> list[float]:
+    """Returns the rates to try next, given the losses of those that were: the first ones, then what lies beyond."""
+    if untried := [lr for lr in first if lr not in losses]:
+        return untried
+    at = _LADDER.index(min(losses, key=losses.__getitem__))
+    return [lr for lr in _LADDER[max(0, at - 1) : at + 2] if lr not in losses]
 
 
 def _until_final(config: SegmentationConfig, *, steps: int) -> SegmentationConfig:

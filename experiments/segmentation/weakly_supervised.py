@@ -7,14 +7,16 @@ from freerein.learning.model_files import choose_device
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, network_spec
 
 
-def make_learner(config: SegmentationConfig, spec: DatasetSpec, folder: Path) -> SegmentationLearner:
+def make_learner(
+    config: SegmentationConfig, spec: DatasetSpec, folder: Path, *, sees_frames: bool = True
+) -> SegmentationLearner:
     """Returns the learner of frames, actions and tags of the dataset in a folder, on a CUDA device if any."""
     world = spec.world
     return SegmentationLearner(
         config,
         network_spec(config, cameras=world.cameras[:1], action=world.action, skills=world.skills),
-        open_split(folder, spec, "train"),
-        open_split(folder, spec, "validation"),
+        open_split(folder, spec, "train", sees_frames=sees_frames),
+        open_split(folder, spec, "validation", sees_frames=sees_frames),
         fingerprint=folder.name,
         device=choose_device("auto"),
     )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from experiments.workbench.processor import processor
 from freerein.atomic_files import write_atomic
 from freerein.errors import FailedPrecondition
 from freerein.learning.checkpoints import JSON
@@ -121,7 +122,7 @@ def load(path: Path) -> ArmResult:
 def machine() -> dict[str, JSON]:
     """Returns the processor, its cores, the CUDA device if any, the system, and the versions that results depend on."""
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         **({"cuda": torch.cuda.get_device_name()} if torch.cuda.is_available() else {}),
         "system": platform.platform(),
@@ -138,10 +139,3 @@ def _lines(key: str, values: Mapping[str, Any]) -> str:
 
 def _compact(document: Mapping[str, Any]) -> str:
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
-
-
-def _processor() -> str:
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.is_file() else []
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.machine())

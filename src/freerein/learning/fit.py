@@ -27,6 +27,7 @@ from freerein.jobs.child import stop_on_sigterm
 from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import checkpoints
 from freerein.learning.checkpoints import JSON
+from freerein.learning.encoders import CameraEncoders
 from freerein.learning.fit_config import FitConfig
 from freerein.learning.train_state import (
     BatchSampler,
@@ -39,6 +40,10 @@ from freerein.learning.train_state import (
 )
 
 _MAX_SAVE_FAILURES = 3
+
+
+class TrainingFailed(FailedPrecondition):
+    """A metric is not finite, or an image encoder is dead: more steps would not help."""
 
 
 class Learner(Protocol[N]):
@@ -132,7 +137,8 @@ def fit(
         on_event: Called with each event, in order.
 
     Raises:
-        FailedPrecondition: `folder` holds another fit, or a metric is not finite.
+        FailedPrecondition: `folder` holds another fit.
+        TrainingFailed: A metric is not finite, or an image encoder is dead.
         OutOfStorage: Three checkpoints in a row could not be written.
     """
     config = learner.config
@@ -191,6 +197,7 @@ def _advance(
     if is_evaluated:
         row["validation_loss"] = learner.evaluate(state)
         _check_finite(row, state.step)
+        _check_encoders(state)
         if state.step > config.selected_after:
             progress = replace(progress, best=_better(progress.best, state, row["validation_loss"]))
         on_event(FitEvent("evaluated", state.step, f"validation_loss {row['validation_loss']:.4f}"))
@@ -210,9 +217,19 @@ def _better(best: BestWeights, state: TrainState[N], loss: float) -> BestWeights
 def _check_finite(metrics: Mapping[str, float], step: int) -> None:
     for name, value in metrics.items():
         if not math.isfinite(value):
-            raise FailedPrecondition(
+            raise TrainingFailed(
                 f"Metrics must be finite; {name} is {value} after {step} updates.",
                 hint="Lower the learning rate.",
+            )
+
+
+def _check_encoders(state: TrainState[N]) -> None:
+    for encoders in state.network.modules():
+        if isinstance(encoders, CameraEncoders) and (dead := encoders.dead_cameras()):
+            raise TrainingFailed(
+                f"An image encoder must tell frames apart; after {state.step} updates that of camera {dead[0]} has the "
+                "same features for all training frames: it is dead.",
+                hint="Lower the learning rate, `lr`, or raise `warmup_steps`.",
             )
 
 

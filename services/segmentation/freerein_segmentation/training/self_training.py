@@ -128,7 +128,9 @@ def begin_round(
     )
     if not action_evidence:
         return teacher
-    return replace(teacher, actions=fit_action_model(teacher, batches, network.spec, generator=generator))
+    features, actions, labels = _labelled(teacher, batches)
+    fitted = fit_action_model(features, actions, labels, spec=network.spec, generator=generator)
+    return replace(teacher, actions=fitted)
 
 
 def action_posterior(log_likelihood: Tensor) -> Tensor:
@@ -137,31 +139,35 @@ def action_posterior(log_likelihood: Tensor) -> Tensor:
 
 
 def fit_action_model(
-    teacher: Teacher, batches: Iterable[TrajectoryBatch], spec: ModelSpec, *, generator: torch.Generator
+    features: Tensor, actions: Tensor, labels: Tensor, *, spec: ModelSpec, generator: torch.Generator
 ) -> ActionModel:
-    """Returns an action model of the labels that a teacher gives some trajectories, on its features of their frames."""
+    """Returns an action model of labels, int64 (N,), given a network's features of frames (N, D) and scaled actions."""
+    model = _action_model(spec)
+    weights.initialise(model, generator=generator)
+    model.to(features.device).standardise("feature", features)
+    if not spec.action.choices:
+        model.standardise("action", actions)
+    optimiser = torch.optim.Adam(model.parameters(), _LR, fused=True)
+    for _ in range(_STEPS):
+        rows = torch.randint(len(features), (_BATCH,), generator=generator).to(features.device)
+        optimiser.zero_grad()
+        with torch.enable_grad():
+            loss = -model(features[rows], actions[rows]).gather(1, labels[rows, None]).mean()
+            loss.backward()
+        optimiser.step()
+    return model.requires_grad_(requires_grad=False)
+
+
+def _labelled(teacher: Teacher, batches: Iterable[TrajectoryBatch]) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns a teacher's features of frames (N, D), scaled actions (N, A), and its labels, int64 (N,)."""
     features, actions, labels = [], [], []
     for batch in batches:
         with torch.no_grad():
             features.append(teacher.network.image(batch.frames))
-        actions.append(spec.scaled(batch.actions))
+        actions.append(teacher.network.spec.scaled(batch.actions))
         found = teacher.label(batch)
         labels.append(found[found >= 0])
-    seen, done, skills = torch.cat(features), torch.cat(actions), torch.cat(labels)
-    model = _action_model(spec)
-    weights.initialise(model, generator=generator)
-    model.to(seen.device).standardise("feature", seen)
-    if not spec.action.choices:
-        model.standardise("action", done)
-    optimiser = torch.optim.Adam(model.parameters(), _LR, fused=True)
-    for _ in range(_STEPS):
-        rows = torch.randint(len(seen), (_BATCH,), generator=generator).to(seen.device)
-        optimiser.zero_grad()
-        with torch.enable_grad():
-            loss = -model(seen[rows], done[rows]).gather(1, skills[rows, None]).mean()
-            loss.backward()
-        optimiser.step()
-    return model.requires_grad_(requires_grad=False)
+    return torch.cat(features), torch.cat(actions), torch.cat(labels)
 
 
 def _action_model(spec: ModelSpec) -> ActionModel:

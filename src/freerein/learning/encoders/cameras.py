@@ -1,6 +1,7 @@
 """One encoder per camera."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from typing import cast
 
 import torch
@@ -11,6 +12,9 @@ from freerein.types.common import Camera
 
 FrameTensors = Mapping[str, Tensor]
 """By camera: uint8 (N, H, W, C)."""
+
+_COMPARED_FRAMES = 32
+_LEAST_DIFFERENCE = 1e-6
 
 
 class CameraEncoders(nn.Module):
@@ -29,6 +33,7 @@ class CameraEncoders(nn.Module):
         super().__init__()
         self.size = features * len(cameras)
         self._names = tuple(camera.name for camera in cameras)
+        self._compared: dict[str, Tensor] = {}
         self.encoders = nn.ModuleList(
             encoder(height=camera.height, width=camera.width, channels=camera.channels, features=features)
             for camera in cameras
@@ -39,10 +44,30 @@ class CameraEncoders(nn.Module):
         """Sets what is not trained, such as mean images, from training frames; draws from a generator on the CPU."""
         for name, encoder in self._by_camera():
             encoder.fit_normalisation(frames[name], generator=generator)
+        self._compared = {name: each[:: -(-len(each) // _COMPARED_FRAMES)].clone() for name, each in frames.items()}
+
+    @torch.no_grad()
+    def dead_cameras(self) -> list[str]:
+        """Returns the cameras whose training frames, of `fit_normalisation`, differ while their features do not.
+
+        Layers that are zero for all frames have no gradient, and never come back.
+        """
+        compared = ((name, encoder, self._compared.get(name)) for name, encoder in self._by_camera())
+        return [name for name, encoder, frames in compared if frames is not None and self._is_dead(encoder, frames)]
 
     def forward(self, frames: FrameTensors) -> Tensor:
         """Returns features, float32 (N, D), of frames by camera, uint8 (N, H, W, C)."""
         return torch.cat([encoder(frames[name]) for name, encoder in self._by_camera()], dim=1)
+
+    def _is_dead(self, encoder: Encoder, frames: Tensor) -> bool:
+        if bool((frames == frames[0]).all()):
+            return False
+        was_training = self.training
+        self.eval()  # statistics of batches, if any, are those of training
+        device = next(chain(self.parameters(), self.buffers())).device
+        features = encoder(frames.to(device))  # (N, features)
+        self.train(was_training)
+        return bool((features - features[0]).abs().max() < _LEAST_DIFFERENCE)
 
     def _by_camera(self) -> Iterable[tuple[str, Encoder]]:
         return zip(self._names, cast(Iterable[Encoder], self.encoders), strict=True)
