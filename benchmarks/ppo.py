@@ -21,6 +21,7 @@ from benchmarks.report import Ratio, Results
 from benchmarks.servers import run_service
 from benchmarks.timing import Effort, Workload, measure_rates, repeat
 from freerein.clients import Channel, RewardClient, SimClient, SyncClient
+from freerein.goal_text import rival_captions
 from freerein.learning import weights
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.checkpoints import Checkpoint
@@ -40,7 +41,6 @@ from freerein_orchestrator.rl.trainer import Trainer
 from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecStep
 from freerein_reward.core import GoalCache, Inference, RewardModel
 from freerein_reward.core.inference import ScoreItem, Scores
-from freerein_reward.goal_text import rival_captions
 from freerein_reward.methods import load
 from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds.tasks import tasks

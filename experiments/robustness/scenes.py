@@ -18,8 +18,8 @@ from experiments.robustness.draw import Drawn, Scenes, open_or_draw
 from experiments.robustness.reward import EPSILON, PHRASES, open_grounding
 from experiments.robustness.worlds import BLOCKS, CAMERA, NOMINAL, SCATTERED, conditions
 from experiments.workbench.results import Outcome, Sample
+from freerein.relations import SpatialRelation
 from freerein_reward.model import DualEncoderModel
-from freerein_reward.relations import SpatialRelation
 from freerein_reward.training.caption_dataset import (
     ABSENT,
     CAPTIONS,

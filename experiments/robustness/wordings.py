@@ -13,9 +13,9 @@ from experiments.robustness.reward import COLOURS
 from experiments.robustness.scenes import nominal_specs, true_relations
 from experiments.robustness.worlds import CAMERA
 from experiments.workbench.results import Outcome, Sample
-from freerein_reward.goal_text import GoalText
+from freerein.goal_text import GoalText
+from freerein.relations import CANONICAL_WORDINGS, SpatialRelation
 from freerein_reward.model import DualEncoderModel, ImageEmbeddings
-from freerein_reward.relations import CANONICAL_WORDINGS, SpatialRelation
 
 RECALL, FALSE_RATE = "recall", "false_rate"
 

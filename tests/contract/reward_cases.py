@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
+from freerein.goal_text import Grammar
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.types.common import Image, ModelRef
 from freerein.types.reward import DescribeRequest, EmbedGoalRequest, GroundRequest, RewardRequest
-from freerein_reward.goal_text import Grammar
 from freerein_reward.model import ImageEmbeddings
 
 LESS, MORE = "less", "more"  # texts that fit a frame less and more, the brighter it is

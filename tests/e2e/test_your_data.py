@@ -13,7 +13,7 @@ import pytest
 
 from freerein.data import Dataset, labels
 from freerein.metrics import frame_accuracy
-from freerein_reward.relations import SpatialRelation, classify_relation
+from freerein.relations import SpatialRelation, classify_relation
 
 RED, BLUE, GRAY = (215, 30, 30), (30, 70, 220), (120, 124, 130)
 SIDE, STEPS, SKILLS = 32, 12, ("pour", "reach")

@@ -16,8 +16,8 @@ from experiments.workbench.arms import Arm
 from experiments.workbench.results import ArmResult, Sample
 
 from freerein import metrics
-from freerein_reward.goal_text import Grammar
-from freerein_reward.relations import SpatialRelation
+from freerein.goal_text import Grammar
+from freerein.relations import SpatialRelation
 from freerein_reward.training.caption_dataset import ABSENT
 
 EXPERIMENT = registry.load("robustness")

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from freerein_reward.goal_text import Grammar
+from freerein.goal_text import Grammar
 from freerein_reward.model.tokenizer import MAX_TOKENS, Tokenizer
 
 pytestmark = pytest.mark.e2e

@@ -98,6 +98,32 @@ async def test_act_does_what_the_sentence_says_and_never_says_that_it_is_done(ac
         assert (reply.goal_reached, reply.goal_confidence, reply.goal_index) == (None, 0.0, 0)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("do not open the gripper", "do, not"),
+        ("Don't open the gripper!", "don, t"),
+        ("open the gripper, never close the gripper", "never"),
+        ("mach den Greifer auf", "mach, den, greifer, auf"),
+        ("open gripper close", ""),
+    ],
+)
+async def test_a_text_that_cannot_be_read_is_not_acted_on_and_its_words_are_named(
+    act: ActService, text: str, words: str
+) -> None:
+    with pytest.raises(InvalidInput, match=f"does not know: {words}" if words else "got another text[.]") as error:
+        await act.act(asked(text))
+    assert error.value.field == "goal.text"
+    assert "Hold the robot" in error.value.hint
+
+
+async def test_a_training_text_in_other_clothes_is_acted_on_alike(act: ActService) -> None:
+    plain = await act.act(asked(TEXTS[0]))
+    for text in ("Open the gripper!", "could you open the gripper, please?", "OPEN GRIPPER"):
+        again = await act.act(asked(text, state=plain.state))  # the same goal
+        np.testing.assert_array_equal(again.actions, plain.actions)
+
+
 async def test_a_sentence_that_takes_too_long_is_given_up(act: ActService) -> None:
     state = b""
     for step in range(4):

@@ -17,6 +17,7 @@ from freerein_imitation.methods import METHODS
 from freerein_imitation.model.goal_text_reader import GoalTextReader
 from freerein_imitation.model.language import (
     TEXT_ENCODER_FILE,
+    TEXTS_FILE,
     LanguageNetwork,
     LanguageSpec,
     principal_components,
@@ -125,7 +126,7 @@ def folder(text_encoder_file: bytes, tmp_path: Path) -> Path:
     """The folder of an untrained policy."""
     codes = untrained_codes(text_encoder_file, "red", "left", "red block")
     card = {"method": "language", **ControlSpec(0.04, 1.0, 9).to_card()}
-    card |= text_encoder_entry("tiny", text_encoder_file)
+    card |= {**text_encoder_entry("tiny", text_encoder_file), "goal_texts": {"count": 2, "first": ["red", "left"]}}
     model_files.save_model(network(codes), tmp_path / "model", card=card)
     (tmp_path / "model" / TEXT_ENCODER_FILE).write_bytes(text_encoder_file)
     return tmp_path / "model"
@@ -135,6 +136,7 @@ def test_a_policy_on_disk_has_its_text_encoder_and_acts_as_it_did(folder: Path, 
     policy = METHODS.load(folder, "cpu")
     spec = policy.spec
     assert (spec.goal_form, spec.action, spec.max_steps_per_goal, spec.recurrent_size) == ("text", ACTION, 9, 0)
+    assert spec.training_texts == ("red", "left")
     frames = {"front": np.zeros((2, 8, 8, 3), np.uint8)}
     codes = policy.encode_goals(["red", "left"])
     step = policy.step(frames, codes, np.zeros((2, 2), np.float32), np.zeros((2, 0), np.float32))
@@ -154,6 +156,13 @@ def change_one_bit(path: Path) -> None:
 def test_a_text_encoder_that_is_not_the_card_s_is_refused(folder: Path, tamper: Callable[[Path], None]) -> None:
     tamper(folder / TEXT_ENCODER_FILE)
     with pytest.raises(InvalidInput, match="text encoder whose sha256 its card names"):
+        METHODS.load(folder, "cpu")
+
+
+@pytest.mark.parametrize("texts", [b"[]", b"{}", b'[["red"]]', b"[" * 99_999, b"\xff"])
+def test_a_policy_that_does_not_know_its_training_texts_is_refused(folder: Path, texts: bytes) -> None:
+    (folder / TEXTS_FILE).write_bytes(texts)
+    with pytest.raises(InvalidInput, match="goal texts that it was fitted to"):
         METHODS.load(folder, "cpu")
 
 

@@ -80,7 +80,8 @@ def test_few_held_out_frames_have_low_in_distribution_scores_and_noise_has(text_
     learner = prepare(text_encoder_file, count=40)
     network = learner.init(torch.Generator().manual_seed(0)).network
     METHODS.by_name["language"].calibrate(learner, network)
-    policy = LanguagePolicy(network, TextEncoder(text_encoder_file), ControlSpec(0.1, NEVER_REACHED, 8))
+    control = ControlSpec(0.1, NEVER_REACHED, 8)
+    policy = LanguagePolicy(network, TextEncoder(text_encoder_file), control, training_texts=TEXTS)
 
     def scores(frames: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         goals = policy.encode_goals([TEXTS[0]] * len(frames))

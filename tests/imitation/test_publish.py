@@ -137,11 +137,13 @@ async def test_a_model_is_named_after_the_task_and_says_what_it_is(served: Serve
 async def test_only_the_texts_that_it_was_trained_for_are_goals(served: Served, tmp_path: Path) -> None:
     leave(tmp_path, make())
     model = await served.publish()
-    same = " A red block  on top of a yellow block."
-    reply = await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text=same), model=model))
+    reply = await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text=GOAL), model=model))
+    for same in (" A red block  on top of a yellow block!", "Please put the red cube onto the yellow one..."):
+        await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text=same), state=reply.state, model=model))
     await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text=GOAL), state=reply.state, model=model))  # the same goal
-    with pytest.raises(InvalidInput, match=f"what this policy was trained for: {GOAL}; got another text"):
-        await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text="a blue block"), model=model))
+    for other in ("a blue block", "do not put the red block on the yellow one", "a yellow block on top of a red block"):
+        with pytest.raises(InvalidInput, match=f"what this policy was trained for: {GOAL}; got another text"):
+            await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text=other), model=model))
 
 
 async def test_discrete_actions_are_served_too(served: Served, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from freerein import images
 from freerein.errors import InvalidInput, ModelFault, OutputNotFinite, ServiceError, TooLarge
+from freerein.goal_text import Grammar
 from freerein.serving.batcher import Batcher
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
@@ -19,7 +20,6 @@ from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, RewardRequest
 from freerein_reward.core import GoalCache, Inference, RewardCore
-from freerein_reward.goal_text import Grammar
 from freerein_reward.model import ImageEmbeddings
 
 COLOURS = ("red", "green", "blue")
@@ -163,6 +163,22 @@ async def test_a_goal_text_without_relation_needs_rivals_or_the_raw_similarity(s
     np.testing.assert_array_equal(answer.rewards, answer.similarities)
     np.testing.assert_array_equal(answer.winners, [0, 0])
     assert answer.texts == ("red",)
+
+
+@pytest.mark.parametrize(
+    ("text", "unknown"),
+    [
+        ("den roten Block auf den blauen legen", "den, roten, auf, blauen, legen"),
+        ("grab the zeppelin!", "grab, zeppelin"),
+    ],
+)
+async def test_a_goal_text_of_unknown_words_is_refused_by_their_names_rather_than_for_want_of_rivals(
+    start: Start, text: str, unknown: str
+) -> None:
+    rewarder = await start(Colours("top"))
+    with pytest.raises(InvalidInput, match=f"does not know {unknown}[.]") as caught:
+        await rewarder.reward(RewardRequest(text, {"top": frames("red")}))
+    assert caught.value.field == "goal_text"
 
 
 async def test_cameras_are_told_apart_by_name_whatever_their_sizes_and_order(start: Start) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from freerein.goal_text import Grammar
 from freerein.types.common import ModelRef
 from freerein_reward.core import GoalCache
-from freerein_reward.goal_text import Grammar
 from freerein_reward.model import ImageEmbeddings
 
 REF = ModelRef("default", "0" * 12)

@@ -9,11 +9,11 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
+from freerein.relations import SpatialRelation, caption
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward import objectives
 from freerein_reward.model import DualEncoder, DualEncoderModel, DualEncoderSpec, GradCamModel, load_grounding
-from freerein_reward.relations import SpatialRelation, caption
 from freerein_reward.training import CaptionDataset, RewardConfig, RewardModelLearner, evaluate_reward, network_spec
 from freerein_reward.training.caption_dataset import (
     ABSENT,

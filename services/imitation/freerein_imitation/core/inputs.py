@@ -13,6 +13,7 @@ from freerein import images
 from freerein.errors import InvalidInput
 from freerein.types.common import MAX_TEXT, Camera, Goal, Image, Observation
 from freerein_imitation.core.policy_state import DIGEST_BYTES
+from freerein_imitation.model.known_texts import KnownText
 from freerein_imitation.model.policy import CameraFrames, PolicySpec
 
 MAX_GOALS = 256
@@ -215,23 +216,28 @@ def _names(spec: PolicySpec) -> str:
 
 
 def _parse_text(spec: PolicySpec, text: str) -> Subgoal:
-    """Returns a text as a goal; where only some texts may be goals, the one of these that it means."""
-    if spec.goal_texts:
-        known = {_plain(each): each for each in spec.goal_texts}
-        if _plain(text) not in known:
-            texts = "; ".join(spec.goal_texts)
-            raise InvalidInput(
-                f"`goal.text` must be what this policy was trained for: {texts}; got another text.",
-                field="goal.text",
-                hint="Send this text, or name a model that follows others.",
-            )
-        text = known[_plain(text)]
+    """Returns a text as a goal, in the words of the policy's training; none that its grammar cannot read."""
+    if spec.goal_texts or spec.training_texts:
+        read = spec.known_texts.read(text)
+        followed = read.training_text or (None if spec.goal_texts else read.caption)
+        if followed is None:
+            raise _refused_text(spec, read)
+        text = followed
     return Subgoal(_digest(text.encode()), text)
 
 
-def _plain(text: str) -> str:
-    """Returns a text without what does not change its meaning: capitals, spaces, a full stop."""
-    return " ".join(text.lower().split()).removesuffix(".")
+def _refused_text(spec: PolicySpec, read: KnownText) -> InvalidInput:
+    if spec.goal_texts:
+        expected = f"must be what this policy was trained for: {'; '.join(spec.goal_texts)}"
+    else:
+        expected = "must say what a training text of this policy says, or relate two of their objects"
+    unknown = f", with words that it does not know: {', '.join(read.unknown)}" if read.unknown else ""
+    return InvalidInput(
+        f"`goal.text` {expected}; got another text{unknown}.",
+        field="goal.text",
+        hint="Hold the robot, and say it in other words, such as: "
+        f"{(spec.goal_texts or spec.training_texts)[0]}. Or name a model that follows others.",
+    )
 
 
 def _parse_skill(spec: PolicySpec, name: str, field: str) -> Subgoal:

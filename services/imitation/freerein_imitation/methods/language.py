@@ -1,5 +1,6 @@
 """Language policies, for texts: distillation of single-task policies (section 4.3)."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -13,6 +14,7 @@ from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
 from freerein_imitation.model.language import (
     TEXT_ENCODER_FILE,
+    TEXTS_FILE,
     LanguageNetwork,
     LanguagePolicy,
     text_encoder_entry,
@@ -63,7 +65,8 @@ def _card(source: FitDataset, learner: LanguageLearner, fitted: FitResult[Langua
 
 
 def _files(learner: LanguageLearner) -> Mapping[str, bytes]:
-    return {TEXT_ENCODER_FILE: learner.text_encoder}
+    texts = sorted(learner.training.codes)
+    return {TEXT_ENCODER_FILE: learner.text_encoder, TEXTS_FILE: json.dumps(texts).encode()}
 
 
 def supervision_of(teacher_cards: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ uses the principal components of the training goal texts only: along other direc
 """
 
 import hashlib
+import json
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ from freerein_imitation.model.text_encoder import TextEncoder
 MAX_COMPONENTS = 64
 MAX_KNOWN_TEXTS = 10_000
 TEXT_ENCODER_FILE = "text_encoder.safetensors"
+TEXTS_FILE = "goal_texts.json"
 
 _LEAST_SINGULAR_VALUE = 1e-2  # as a share of the largest
 _ENCODER_KEY = "text_encoder"
@@ -162,25 +164,36 @@ def principal_components(embeddings: Tensor) -> Tensor:
 class LanguagePolicy(TorchPolicy[LanguageNetwork]):
     """Follows a text. It has no termination head and no recurrent state.
 
-    A text unlike those that it was fitted to is followed, too, at an in-distribution score of 0.
+    A relation of two objects of its training texts that none of these states is followed, too, at an in-distribution
+    score of 0.
 
     Args:
         network: Trained.
         text_encoder: The one that the network was trained with.
         control: Rate and limits.
+        training_texts: The texts that it was fitted to.
 
     Raises:
         InvalidInput: The text encoder's embeddings are of another size than the network takes.
     """
 
-    def __init__(self, network: LanguageNetwork, text_encoder: TextEncoder, control: ControlSpec) -> None:
+    def __init__(
+        self,
+        network: LanguageNetwork,
+        text_encoder: TextEncoder,
+        control: ControlSpec,
+        *,
+        training_texts: Sequence[str],
+    ) -> None:
         spec = network.spec
         if text_encoder.size != spec.text_size:
             raise InvalidInput(
                 f"A policy's text encoder must have embeddings of {spec.text_size} numbers; got {text_encoder.size}.",
                 hint="Fit the model again, or restore its folder from a copy.",
             )
-        super().__init__(network, spec, control, goal_form="text", predicts_reached=False)
+        super().__init__(
+            network, spec, control, goal_form="text", training_texts=tuple(training_texts), predicts_reached=False
+        )
         self._text_encoder = text_encoder
         self._reader = deepcopy(network.reader).cpu()
 
@@ -193,7 +206,8 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
         """
         card = model_files.read_card(folder)
         network = model_files.load_model(folder, LanguageSpec, LanguageNetwork, device=device)
-        return cls(network, _load_text_encoder(folder, card), ControlSpec.from_card(card))
+        texts = _load_texts(folder, card)
+        return cls(network, _load_text_encoder(folder, card), ControlSpec.from_card(card), training_texts=texts)
 
     def encode_goals(self, goals: Sequence[str]) -> npt.NDArray[np.float32]:
         """Returns the codes of texts, float32 (N, code size); each is independent of the others."""
@@ -224,6 +238,21 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
 def text_encoder_entry(name: str, data: bytes) -> dict[str, JSON]:
     """Returns the entry of a card that names a text encoder, for its name and file."""
     return {_ENCODER_KEY: {"name": name, "sha256": hashlib.sha256(data).hexdigest()}}
+
+
+def _load_texts(folder: Path, card: dict[str, Any]) -> list[str]:
+    """Returns the texts that a policy was fitted to; of one without the file of texts, those on its card."""
+    try:
+        path = folder / TEXTS_FILE
+        texts = json.loads(path.read_bytes()) if path.exists() else card["goal_texts"]["first"]
+    except (OSError, ValueError, RecursionError, KeyError, TypeError):
+        texts = None
+    if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
+        raise InvalidInput(
+            "A language policy's folder must hold the goal texts that it was fitted to; it does not.",
+            hint="Fit the model again, or restore its folder from a copy.",
+        )
+    return texts
 
 
 def _load_text_encoder(folder: Path, card: dict[str, Any]) -> TextEncoder:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any, Generic, Protocol, Self, TypeAlias, TypeGuard, TypeVar, runtime_checkable
 
 import numpy as np
@@ -17,6 +18,7 @@ from freerein.learning.encoders import FrameTensors
 from freerein.learning.inputs import InputSpec
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.imitation import GoalForm
+from freerein_imitation.model.known_texts import KnownTexts
 
 CameraFrames: TypeAlias = Mapping[str, npt.NDArray[np.uint8]]
 """By camera: uint8 (N, H, W, C), or (H, W, C) of one timestep."""
@@ -90,7 +92,8 @@ class PolicySpec(ControlSpec):
         goal_form: Form of its goals.
         horizon: K, actions per output.
         skills: Skills that a recipe may name; empty for other goal forms.
-        goal_texts: The only texts that a goal may be; empty for any.
+        goal_texts: The only texts that a goal may be; empty for others, too.
+        training_texts: Texts that it was fitted to, where it follows others, too; empty where that is unknown.
         robot_state_size: S, numbers of the robot's own state; 0 for a policy that takes none.
         recurrent_size: R, numbers of recurrent state.
         predicts_reached: Whether it predicts that a goal is reached.
@@ -102,6 +105,7 @@ class PolicySpec(ControlSpec):
     horizon: int = 1
     skills: tuple[str, ...] = ()
     goal_texts: tuple[str, ...] = ()
+    training_texts: tuple[str, ...] = ()
     robot_state_size: int = 0
     recurrent_size: int = 0
     predicts_reached: bool = True
@@ -114,6 +118,11 @@ class PolicySpec(ControlSpec):
                 f"limits and {len(self.skills)} skills.",
                 hint=_RESTORE,
             )
+
+    @cached_property
+    def known_texts(self) -> KnownTexts:
+        """Reads goal texts as the policy's training has them."""
+        return KnownTexts(self.goal_texts or self.training_texts)
 
     def step_limit(self, goal: object) -> int:
         """Returns the control steps after which a goal, such as the name of a skill, is abandoned."""

@@ -12,6 +12,8 @@ import numpy.typing as npt
 import PIL.Image
 
 from freerein.errors import InvalidInput
+from freerein.goal_text import Grammar
+from freerein.relations import SpatialRelation, caption
 from freerein.serving.batcher import Batcher
 from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
@@ -28,9 +30,7 @@ from freerein.types.reward import (
 from freerein_reward.core import inputs
 from freerein_reward.core.inference import GroundItem, InferenceItem, InferenceOutput
 from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
-from freerein_reward.goal_text import Grammar
 from freerein_reward.model import GROUNDING, KNOWN, PhraseLocations
-from freerein_reward.relations import SpatialRelation, caption
 from freerein_reward.training.caption_dataset import NO_CAPTION, pairwise_relations
 
 DEFAULT_EPSILON = 0.1

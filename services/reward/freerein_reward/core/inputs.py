@@ -7,10 +7,10 @@ import numpy.typing as npt
 
 from freerein import images
 from freerein.errors import InvalidInput, TooLarge
+from freerein.goal_text import words
 from freerein.learning.trajectories import TrajectoryArrays
 from freerein.types.common import Image
 from freerein.types.reward import RewardRequest
-from freerein_reward.goal_text import words
 
 MAX_FRAMES = 20_000
 MAX_HEATMAP_PIXELS = 12_000_000  # 64 MiB, the largest message, as FP32 in base64

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
+from freerein.goal_text import Grammar
 from freerein.types.common import ModelRef
-from freerein_reward.goal_text import Grammar
 from freerein_reward.model import ImageEmbeddings, PhraseLocations
 
 

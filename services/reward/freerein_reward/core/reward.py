@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
+from freerein.goal_text import GoalText, Grammar
 from freerein.serving.batcher import Batcher
 from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
@@ -25,7 +26,6 @@ from freerein_reward.core.inputs import (
     request_frames,
 )
 from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
-from freerein_reward.goal_text import GoalText, Grammar
 
 _FRAMES_AT_ONCE = 64
 
@@ -127,6 +127,12 @@ def _rivals(request: RewardRequest, goal: GoalText, grammar: Grammar) -> tuple[s
     rivals = tuple(grammar.read(rival).text for rival in request.rivals)
     check_distinct(rivals, goal.text)
     if not rivals and not goal.rivals and request.mode == "binary":
+        if goal.unknown:
+            raise InvalidInput(
+                f"The model must know every word of the goal text; it does not know {', '.join(goal.unknown)}.",
+                field="goal_text",
+                hint="Relate two noun phrases of the model in English, such as: the red block is on the blue one.",
+            )
         raise InvalidInput(
             "A binary reward needs rivals; none were given, and the goal text has no relation to derive them from.",
             field="rivals",

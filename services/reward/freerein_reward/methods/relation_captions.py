@@ -7,10 +7,10 @@ from typing import Any
 import torch
 
 from freerein.errors import InvalidInput
+from freerein.goal_text import MAX_UNKNOWN_CHARACTERS, bare_words, rival_captions, words
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
-from freerein_reward.goal_text import MAX_UNKNOWN_CHARACTERS, bare_words, rival_captions, words
 from freerein_reward.model import KNOWN, DualEncoder, GradCamModel, load_grounding, load_reward_model
 from freerein_reward.training import (
     RewardConfig,

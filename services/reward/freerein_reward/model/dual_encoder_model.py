@@ -8,7 +8,7 @@ import numpy.typing as npt
 import PIL.Image
 import torch
 
-from freerein_reward.goal_text import Grammar
+from freerein.goal_text import Grammar
 from freerein_reward.model.dual_encoder import DualEncoder, channels_last
 
 _IMAGES_AT_ONCE = 16

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from freerein_reward.goal_text import words
+from freerein.goal_text import words
 from freerein_reward.model.dual_encoder_model import DualEncoderModel
 from freerein_reward.model.known_phrases import KNOWN
 

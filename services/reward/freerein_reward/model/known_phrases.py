@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from freerein_reward.goal_text import words
+from freerein.goal_text import words
 
 KNOWN = 0.8
 """Score from which a phrase is known: it tells what it names better than four of five words without meaning tell what

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from freerein_reward.goal_text import words
+from freerein.goal_text import words
 
 MAX_TOKENS = 77
 """Longest token sequence, end-of-text token included, as in CLIP."""

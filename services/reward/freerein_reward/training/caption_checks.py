@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
+from freerein.relations import CANONICAL_WORDINGS, SpatialRelation
 from freerein_reward.model import GradCamModel
-from freerein_reward.relations import CANONICAL_WORDINGS, SpatialRelation
 from freerein_reward.training.caption_dataset import CaptionDataset
 
 _SAMPLE = 256

@@ -16,8 +16,8 @@ from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import tensor_files
 from freerein.learning.augmentation import augment_camera
 from freerein.learning.split import train_validation_split
+from freerein.relations import SpatialRelation, absence_caption, caption, classify_relation
 from freerein_reward.model import GradCamModel, preprocess
-from freerein_reward.relations import SpatialRelation, absence_caption, caption, classify_relation
 from freerein_reward.training.config import RewardConfig
 from freerein_reward.training.presence import alone_in_place, presence_in_dataset
 

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from freerein.relations import SpatialRelation
 from freerein_reward.model import DualEncoder, contrast_texts
-from freerein_reward.relations import SpatialRelation
 from freerein_reward.training import synthetic_objects
 from freerein_reward.training.caption_dataset import ABSENT, NO_CAPTION, CaptionDataset, flatten_pairs
 from freerein_reward.training.grounding_learner import GroundingLearner

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from freerein.goal_text import words
 from freerein.learning import weights
 from freerein.learning.augmentation import agreement, delayed
 from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.optimiser import fit_step
 from freerein.learning.train_state import TrainState
-from freerein_reward.goal_text import words
 from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last, view_statistics
 from freerein_reward.objectives import relation_cross_entropy
 from freerein_reward.training.caption_dataset import (

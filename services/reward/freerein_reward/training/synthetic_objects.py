@@ -15,7 +15,7 @@ import numpy.typing as npt
 import PIL.Image
 import PIL.ImageDraw
 
-from freerein_reward.goal_text import SYNONYMS
+from freerein.goal_text import SYNONYMS
 
 IMAGE_SIZE = 64
 NOTHING = "nothing"

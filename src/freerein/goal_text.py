@@ -1,6 +1,6 @@
 """Goal texts, read by a small grammar: a statement that two of a model's noun phrases stand in a relation.
 
-    [please] [put] PHRASE [is] RELATION PHRASE [please]
+    [please] [could you] [put] PHRASE [is] RELATION PHRASE [please]
 
 Case and punctuation do not matter. A phrase may have another article, its last word a synonym or `one`, and that word
 may be missing where the rest still names one phrase. Whatever else a text says, it is not a statement.
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import permutations, product
 from types import MappingProxyType
 
-from freerein_reward.relations import MISSING, SpatialRelation, absence_caption, caption
+from freerein.relations import MISSING, SpatialRelation, absence_caption, caption
 
 Words = tuple[str, ...]
 
@@ -23,11 +23,30 @@ GENERIC_NOUNS = ("one", "object", "thing")
 SYNONYMS: Mapping[str, tuple[str, ...]] = MappingProxyType({"block": ("cube",), "ball": ("sphere",)})
 """Other names of a noun."""
 
-VERBS = ("put", "place", "move", "push", "pull", "set", "bring", "slide", "stack", "lay", "get", "keep")
-COPULAS = (
-    *("is", "are", "should be", "must be", "lies", "sits", "rests", "stands"),
-    *("is placed", "is lying", "is sitting", "is resting", "is standing"),
+REQUESTS = (
+    *(
+        "could you",
+        "can you",
+        "would you",
+        "will you",
+        "i want",
+        "i want you to",
+        "i would like",
+        "i would like you to",
+    ),
+    *("i need", "make sure", "make sure that"),
 )
+"""What a sentence may begin with before it says anything."""
+
+ARRANGE = "arrange"
+SO_THAT = ("so", "that")
+VERBS = ("put", "place", "move", "push", "pull", "set", "bring", "slide", "stack", "lay", "get", "keep", "make")
+COPULAS = (
+    *("is", "are", "should be", "must be", "lies", "sits", "rests", "stands", "goes", "stays", "belongs"),
+    *("is placed", "is lying", "is sitting", "is resting", "is standing"),
+    *("be", "to be", "should go", "go", "sit", "stand", "lie", "stay"),
+)
+NEGATIONS = ("not", "no", "never", "don", "t", "without", "except", "neither", "nor")
 MAX_UNKNOWN = 16
 """Most unknown words that are named."""
 
@@ -116,7 +135,8 @@ class Grammar:
         pairs = permutations(phrases, 2)
         self._absences = {words(each): each for each in (absence_caption(first, second) for first, second in pairs)}
         trained = frozenset(word for text in (*vocabulary, *phrases) for word in words(text)) - _ABSENCE_WORDS
-        self._known = trained.union(_GRAMMAR_WORDS, *self._phrases)
+        self._things = {f"{name[-1]}s" for name in (*self._phrases, *((noun,) for noun in GENERIC_NOUNS))}
+        self._known = trained.union(_GRAMMAR_WORDS, *self._phrases, _REQUEST_WORDS if phrases else ())
         self._embedded = trained if phrases else self._known
 
     def read(self, text: str) -> GoalText:
@@ -138,8 +158,7 @@ class Grammar:
         return _outside((word for phrase in phrases for word in words(phrase)), self._known)
 
     def _statement(self, said: Words) -> Statement | None:
-        said = said[1:] if said[:1] == (POLITE,) else said
-        said = said[:-1] if said[-1:] == (POLITE,) else said
+        said = self._arranged(asked(said))
         said = said[1:] if said[:1] and said[0] in VERBS else said
         sizes = range(1, min(len(said), 1 + self._longest) + 1)
         firsts = [(size, found) for size in sizes if (found := self._phrase(said[:size]))]
@@ -150,6 +169,12 @@ class Grammar:
             if first != second and (relation := _RELATIONS.get(said[before : len(said) - after])) is not None
         }
         return read.pop() if len(read) == 1 else None
+
+    def _arranged(self, said: Words) -> Words:
+        """Returns what is to hold after `arrange the blocks so that`."""
+        rest = bare_words(said[1:])
+        begins = said[:1] == (ARRANGE,) and rest[:1] and rest[0] in self._things and rest[1:3] == SO_THAT
+        return rest[3:] if begins else said
 
     def _phrase(self, said: Words) -> str | None:
         """Returns the phrase of these words, which may begin with an article."""
@@ -163,6 +188,26 @@ def words(text: str) -> Words:
     """
     folded = "".join(map(_fold, _PIECE.findall(text)))
     return tuple(_UNSPOKEN.sub(_symbols, folded).split())
+
+
+def asked(said: Words) -> Words:
+    """Returns the words of a sentence without those that only ask for it."""
+    said = said[1:] if said[:1] == (POLITE,) else said
+    longest = max((each for each in _REQUESTS if said[: len(each)] == each), key=len, default=())
+    said = said[len(longest) :]
+    said = said[1:] if longest and said[:1] == (POLITE,) else said
+    return said[:-1] if said[-1:] == (POLITE,) else said
+
+
+def noun_phrases(texts: Iterable[str]) -> tuple[str, ...]:
+    """Returns the two noun phrases of each text that relates two, once each, whatever their articles."""
+    found: dict[Words, str] = {}
+    for text in texts:
+        said = asked(words(text))
+        said = said[1:] if said[:1] and said[0] in VERBS else said
+        for phrase in _related(said):
+            found.setdefault(bare_words(phrase), " ".join(phrase))
+    return tuple(found.values())
 
 
 def rival_captions(text: str) -> tuple[str, ...]:
@@ -183,6 +228,21 @@ def _rivals(said: Words) -> tuple[str, ...]:
                 others = (each for each in SpatialRelation if each is not relation)
                 return tuple(caption(before, other, after).strip() for other in others)
     return ()
+
+
+def _related(said: Words) -> tuple[Words, ...]:
+    """Returns the words before and after the first relation, where both are noun phrases; else nothing."""
+    for start in range(1, len(said)):
+        for end in range(min(len(said) - 1, start + _LONGEST_RELATED), start, -1):
+            if said[start:end] in _RELATIONS:
+                phrases = said[:start], said[end:]
+                return phrases if all(map(_is_noun_phrase, phrases)) else ()
+    return ()
+
+
+def _is_noun_phrase(said: Words) -> bool:
+    bare = bare_words(said)
+    return 0 < len(bare) <= _LONGEST_PHRASE and bare[0] not in ARTICLES and not _NO_NOUNS.intersection(bare)
 
 
 def _names_of(phrases: Sequence[str]) -> dict[Words, str]:
@@ -238,7 +298,12 @@ _RELATION_STARTS = frozenset(wording[0] for wording in _WORDINGS)
 _RELATIONS = {
     (*copula.split(), *wording): relation for copula, (wording, relation) in product(("", *COPULAS), _WORDINGS.items())
 }
+_LONGEST_RELATED = max(map(len, _RELATIONS))
+_LONGEST_PHRASE = 6
+_REQUESTS = tuple(tuple(each.split()) for each in REQUESTS)
+_REQUEST_WORDS = _split((*REQUESTS, ARRANGE, *SO_THAT))
 _ABSENCE_WORDS = frozenset(("or", MISSING))
 _GRAMMAR_WORDS = _split((POLITE, *ARTICLES, *GENERIC_NOUNS, *VERBS, *COPULAS, *map(" ".join, _WORDINGS))) - {
     each.split()[0] for each in _NEARBY
 }
+_NO_NOUNS = _split((POLITE, *VERBS, *COPULAS, *map(" ".join, _WORDINGS), *REQUESTS, *NEGATIONS, "and or but then"))

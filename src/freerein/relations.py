@@ -37,7 +37,7 @@ CANONICAL_WORDINGS: Mapping[SpatialRelation, str] = MappingProxyType(
         SpatialRelation.APART_FROM: "apart from",
     }
 )
-"""The wordings of captions; `freerein_reward.goal_text` reads others."""
+"""The wordings of captions; `freerein.goal_text` reads others."""
 
 
 MISSING = "missing"

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from freerein_reward.relations import SpatialRelation, classify_relation
+from freerein.relations import SpatialRelation, classify_relation
 
 EPSILON = 0.1
 

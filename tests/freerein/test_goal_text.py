@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from freerein_reward.goal_text import (
+from freerein.goal_text import (
     ARTICLES,
     COPULAS,
     MAX_UNKNOWN,
@@ -13,10 +13,11 @@ from freerein_reward.goal_text import (
     WORDINGS,
     Grammar,
     Statement,
+    noun_phrases,
     rival_captions,
     words,
 )
-from freerein_reward.relations import CANONICAL_WORDINGS, SpatialRelation
+from freerein.relations import CANONICAL_WORDINGS, SpatialRelation
 
 PHRASES = ("a red block", "a green block", "a yellow block", "a blue block")
 VOCABULARY = tuple(dict.fromkeys(" ".join((*PHRASES, *CANONICAL_WORDINGS.values(), "further than")).split()))
@@ -44,6 +45,14 @@ CLASSES: dict[str, tuple[str, ...]] = {
     "other nouns": ("a red cube on a yellow cube", "the red one on the yellow one", "red thing on yellow object"),
     "no noun": ("red on top of yellow", "the red on the yellow block"),
     "sentences": ("The red block is on the yellow block.", "the red one should be on top of the yellow one"),
+    "requests": (
+        "Could you put the red block on the yellow one, please?",
+        "I want the red cube on the yellow cube",
+        "I would like you to place the red block on top of the yellow block.",
+        "make sure that the red one stays on the yellow one",
+        "Arrange the blocks so that red is on top of yellow!",
+        "make red sit on yellow",
+    ),
     "imperatives": (
         "put the red block on the yellow one",
         "Please move the red cube onto the yellow cube.",
@@ -63,6 +72,10 @@ UNREAD: dict[str, tuple[str, ...]] = {
     "a crimson block on top of a yellow block": ("crimson",),
     "put the crimson block on the amber block, the crimson one": ("crimson", "amber"),
     "a red block not on top of a yellow block": ("not",),
+    "could you not put the red block on the yellow block": ("not",),
+    "do not arrange the blocks so that red is on yellow": ("do", "not", "blocks"),
+    "could you see a red block": ("see",),
+    "could you a red block": ("could", "you"),
     "a red block on top of a yellow block and a blue block": ("and",),
     "a red block beside a yellow block": ("beside",),
     "the red block is next to the yellow block": ("next",),
@@ -143,6 +156,22 @@ def test_unknown_words_are_few_short_and_distinct() -> None:
     unknown = GRAMMAR.read(" ".join(["x" * 100, "x" * 200, *(f"word{number}" for number in range(100))])).unknown
     assert unknown[:2] == ("x" * MAX_UNKNOWN_CHARACTERS, "word0")
     assert len(unknown) == len(set(unknown)) == MAX_UNKNOWN
+
+
+def test_noun_phrases_are_those_of_texts_that_relate_two() -> None:
+    texts = (
+        "put the red cup on the plate",
+        "A red cup is to the left of a big blue box.",
+        "could you move the plate under the lamp, please",
+        *(
+            "open the gripper",
+            "do not put the sponge on the plate",
+            "the pan is not on the stove",
+            "put it on",
+            "on the pan",
+        ),
+    )
+    assert noun_phrases(texts) == ("the red cup", "the plate", "a big blue box", "the lamp")
 
 
 def test_a_text_without_a_relation_has_no_rivals() -> None:
