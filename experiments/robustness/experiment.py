@@ -113,7 +113,9 @@ class RobustnessExperiment:
         return config
 
     def prepare(self, arm: Arm, work: Path) -> bool:
-        """Draws what is learned from and what fits are evaluated on."""
+        """Draws what is learned from and what fits are evaluated on; pipelines draw their own."""
+        if arm.method in policies.METHODS or arm.method == policies.PPO_SPEED:
+            return True
         specs = (segmentation.TRAINING, *segmentation.test_specs().values())
         more: tuple[Spec, ...] = (reward.TRAINING, *scenes.scene_specs().values())
         for spec in (*specs, *more):

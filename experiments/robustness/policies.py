@@ -207,7 +207,7 @@ def _return_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
 def _sentence_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
     """Yields the student's return as a share of its teachers', and what was done told wordings, by trial.
 
-    Of each task also the return of the word-blind student less that of ours, told the other task.
+    Of each task also the return of the word-blind student, that of ours told the other task, and the difference.
     """
     student, word_blind = (trials[_told(name)] for name in (_STUDENT, _WORD_BLIND))
     taught = [[each["episode_return"] for each in trials[name]] for name in TEACHERS]
@@ -215,11 +215,11 @@ def _sentence_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
     yield TOLD_OWN, Sample(own, [sum(each) for each in zip(*taught, strict=True)])
     for task, name in enumerate(SIDES):
         other = 1 - task
-        losses = [
-            blind["returns"][task][task] - each["returns"][task][other]
-            for blind, each in zip(word_blind, student, strict=True)
-        ]
-        yield told_other(name), Sample(losses, [1] * len(losses))
+        blind = [each["returns"][task][task] for each in word_blind]
+        misled = [each["returns"][task][other] for each in student]
+        losses = [one - another for one, another in zip(blind, misled, strict=True)]
+        named = {told_other(name): losses, word_blind_return(name): blind, told_other_return(name): misled}
+        yield from ((figure, Sample(each, [1] * len(each))) for figure, each in named.items())
     count = len(WORDINGS_OF_SIDES)
     meant = np.arange(count) >= count // 2  # the left task's, then the right one's
     done = [np.array(each["successes"])[meant.astype(int), len(SIDES) + np.arange(count)] for each in student]
@@ -229,6 +229,16 @@ def _sentence_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
 def told_other(task: str) -> str:
     """Returns the name of a figure: the word-blind student's return in a task less that of ours, told the other."""
     return f"told.other.{task}"
+
+
+def word_blind_return(task: str) -> str:
+    """Returns the name of a figure: the word-blind student's return in a task."""
+    return f"told.blind.{task}"
+
+
+def told_other_return(task: str) -> str:
+    """Returns the name of a figure: our student's return in a task, told the other."""
+    return f"told.misled.{task}"
 
 
 def _share(flags: Sequence[npt.NDArray[np.bool_]]) -> Sample:

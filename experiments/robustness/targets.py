@@ -37,6 +37,7 @@ class Target:
         most: What it must not exceed; with neither it is only reported.
         unit: 100 for per cent, 1 for a share.
         low_above: What the lower end of the interval must exceed, if anything.
+        apart: Pairs of samples; the interval of the first must lie above that of the second.
         also: Claims that must be met for this one to be.
         method: Method of the arms; empty for the fits that have variants.
         baseline: Method of the arms that they are compared with.
@@ -53,6 +54,7 @@ class Target:
     most: float | None = None
     unit: int = _SHARE
     low_above: float | None = None
+    apart: tuple[tuple[str, str], ...] = ()
     also: tuple[str, ...] = ()
     method: str = ""
     baseline: str = ""
@@ -119,7 +121,7 @@ def _speed(claim: str, text: str, sample: str, *, least: float | None = None, **
     return Target(claim, text, policies.SIDES[:1], (sample,), least, method=policies.PPO_SPEED, of_runs=True, **more)
 
 
-def _told(claim: str, text: str, *samples: str, least: float, **more: Any) -> Target:
+def _told(claim: str, text: str, *samples: str, least: float | None = None, **more: Any) -> Target:
     return Target(claim, text, (DEMONSTRATED,), samples, least, method=policies.LANGUAGE, **more)
 
 
@@ -210,7 +212,12 @@ TARGETS = (
         *map(policies.told_other, policies.SIDES),
         least=0,
         low_above=0,
+        apart=tuple((policies.word_blind_return(task), policies.told_other_return(task)) for task in policies.SIDES),
     ),
+    _told(
+        "language_blind", "the word-blind policy's return in a task", *map(policies.word_blind_return, policies.SIDES)
+    ),
+    _told("language_misled", "ours, told the other task", *map(policies.told_other_return, policies.SIDES)),
     _told(
         "language_wordings",
         "episodes that end as told, wordings and converses that no teacher has, %",
@@ -258,7 +265,7 @@ def samples_of(results: Sequence[ArmResult], name: str) -> list[Sample]:
 
 
 def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
-    arms = _arms(target, results, target.method, OURS)
+    arms = [each for each in _arms(target, results, target.method, OURS) if _has(each, target.samples)]
     others = _arms(target, results, target.baseline, "" if target.method else BASELINE)
     ceilings = _arms(target, results, target.ceiling)
     if not arms:
@@ -283,12 +290,29 @@ def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
         gap_closed=None,
         dissertation=None,
         target=target.least if target.most is None else target.most,
-        met=target.is_reached(_rounded(values[worst]), target.unit * low) if target.has_bar else None,
+        met=_is_met(target, arms, _rounded(values[worst]), target.unit * low) if target.has_bar else None,
         world_version=arms[0].world_version,
         command=_command(arms),
         minutes=round(sum(arm.minutes for arm in arms), 2),
     )
     return Made(target, claim, worst)
+
+
+def _has(result: ArmResult, names: Sequence[str]) -> bool:
+    """Returns whether a result has these samples; those of an earlier evaluation may lack some."""
+    derived = (visited_states.PRECISION_AT_SHARE, visited_states.FALSE_POSITIVE_RATE)
+    return all(name in result.samples or name in derived for name in names)
+
+
+def _is_met(target: Target, arms: Sequence[ArmResult], value: float, low: float) -> bool:
+    return target.is_reached(value, low) and all(_is_apart(arms, *pair) for pair in target.apart)
+
+
+def _is_apart(arms: Sequence[ArmResult], upper: str, lower: str) -> bool:
+    """Returns whether the interval of one figure lies above that of another."""
+    if not all(_has(each, (upper, lower)) for each in arms):
+        return False
+    return claims.interval(samples_of(arms, upper))[0] > claims.interval(samples_of(arms, lower))[1]
 
 
 def _make_of_runs(target: Target, results: Sequence[ArmResult]) -> Made:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from freerein import metrics
 from freerein.learning.trajectories import Trajectories
 from freerein_segmentation.model import SegmentationNetwork
 from freerein_segmentation.training import fit_action_model
@@ -27,6 +28,19 @@ _TRAJECTORIES = 200
 def moved(labels: Labels, timesteps: int) -> Labels:
     """Returns labels (T,) so many timesteps earlier; the last skill lasts until the end."""
     return labels[np.minimum(np.arange(len(labels)) + timesteps, len(labels) - 1)]
+
+
+def boundary_errors(predicted: Labels, truth: Labels) -> list[int]:
+    """Returns by how many timesteps the skills of labels (T,) begin late, for each boundary of the true ones.
+
+    It is that of the nearest beginning of the boundary's skill; a boundary whose skill never begins is left out.
+    """
+    starts, errors = metrics.run_starts(predicted)[1:], []
+    for boundary in metrics.run_starts(truth)[1:]:
+        of_skill = starts[predicted[starts] == truth[boundary]] - boundary
+        if len(of_skill):
+            errors.append(int(of_skill[np.abs(of_skill).argmin()]))
+    return errors
 
 
 def action_losses(

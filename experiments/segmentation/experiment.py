@@ -19,7 +19,7 @@ from experiments.segmentation import (
 )
 from experiments.segmentation.dataset import SPLITS, DatasetSpec, SplitName
 from experiments.segmentation.guesses import GUESSES, TRUTH
-from experiments.segmentation.packed import pack
+from experiments.segmentation.packed import PACKED, PACKED_DECODED, pack
 from experiments.segmentation.report import Report
 from experiments.segmentation.study import ACTION_STEPS, SUPERVISED, Study
 from experiments.workbench.arms import Arm
@@ -33,8 +33,8 @@ from freerein.learning.model_files import choose_device
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, held_out_action_loss
 
-SHOWN_LABELS, PACKED, PACKED_DECODED = "test.labels", "packed_labels", "packed_decoded_labels"
-"""What a network shows: its labels of the first test trajectories, and, packed, of all of them; see `packed`."""
+SHOWN_LABELS = "test.labels"
+"""What a network shows: its labels of the first test trajectories."""
 
 DELAY_LOSSES = "delay.action_losses"
 """What else it shows: see `delay.action_losses`."""

@@ -9,6 +9,9 @@ import numpy.typing as npt
 
 Labels = npt.NDArray[np.int64]
 
+PACKED, PACKED_DECODED = "packed_labels", "packed_decoded_labels"
+"""Names, after the split's, of what results show: labels as they are, and decoded."""
+
 
 def pack(labels: Sequence[Labels]) -> str:
     """Returns labels, int64 (T,) per trajectory and below 256, as base64 of their compressed bytes."""

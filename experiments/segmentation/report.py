@@ -5,7 +5,10 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from experiments.segmentation.dataset import SPLITS, SplitName
-from experiments.segmentation.evaluation import ACTION_LOSS, DECODED_ACCURACY, FRAME_ACCURACY
+from experiments.segmentation.decoded import Decoded
+from experiments.segmentation.delay import moved
+from experiments.segmentation.evaluation import ACTION_LOSS, DECODED_ACCURACY, DELAY, FRAME_ACCURACY
+from experiments.segmentation.guesses import TRUTH, in_equal_parts
 from experiments.segmentation.rows import PER_CENT, Row, Rows
 from experiments.segmentation.study import Study
 from experiments.segmentation.targets import LEAST_GAP, Target
@@ -14,6 +17,9 @@ from experiments.workbench.claims import Claim, Scale
 from experiments.workbench.plots import interval_plot
 from experiments.workbench.results import ArmResult
 from experiments.workbench.table import Picture, Section, Table
+
+DEVELOPMENT = "blocks"
+"""The world in which true labels may choose."""
 
 _ROW_HEADER = (
     "method",
@@ -25,6 +31,10 @@ _ROW_HEADER = (
     "test F1@50",
     "test decoded",
     "decoded edit",
+    "decoded: skills begin late by, timesteps (mean ± s. d.)",
+    "decoded, moved by as many as suits `blocks`, %",
+    "as many as suit the actions, %",
+    "decoded order in equal parts, %",
     "gap closed, test",
     "action loss, nats",
     "learning rate",
@@ -74,6 +84,7 @@ def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]
     A world's scale is `full` when a network sees at least the dissertation's number of training trajectories.
     """
     by_world = {study.world: (study, Rows.of(results, study.world)) for study in studies}
+    development = Rows.of(results, DEVELOPMENT)
     sections, made, plotted = [], [], []
     targets = [target for target in report.targets if by_world[target.world][1].chosen(target.rows)]
     cells_of_targets = []
@@ -85,8 +96,13 @@ def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]
         sections.append(Section(_CLAIM_HEADER, tuple(cells_of_targets), title="Claims"))
     for study, rows in by_world.values():
         if rows.arms:
-            of_rows = {row: [_row_claim(report, study, rows, row, split) for split in SPLITS] for row in rows.arms}
-            cells_of_rows = tuple(_row_cells(rows, row, of_rows[row]) for row in rows.arms)
+            of_rows = {
+                row: [_row_claim(report, study, rows, row, split) for split in SPLITS]
+                for row in rows.arms
+                if row.method != TRUTH
+            }
+            shown = [row for row in rows.arms if row.method != TRUTH]
+            cells_of_rows = tuple(_row_cells(rows, row, of_rows[row], development) for row in shown)
             sections.append(Section(_ROW_HEADER, cells_of_rows, title=f"{study.world}: {_scale_text(report, study)}"))
             made += [claim for each in of_rows.values() for claim in each]
             plotted += [each[-1] for each in of_rows.values()]
@@ -178,7 +194,21 @@ def _target_cells(target: Target, claim: Claim, rows: Rows) -> tuple[str, ...]:
     )
 
 
-def _row_cells(rows: Rows, row: Row, made: Sequence[Claim]) -> tuple[str, ...]:
+def _decoded_cells(rows: Rows, row: Row, development: Rows) -> tuple[str, ...]:
+    """Returns how late skills begin, and accuracies of decoded labels that are moved, or of their order alone."""
+    decoded, developed = Decoded.of(rows, row), Decoded.of(development, row)
+    if decoded is None:
+        return "", "", "", ""
+    mean, deviation = decoded.boundary_error()
+    by_actions = round(rows.mean(row, DELAY))
+    delays = (None if developed is None else developed.best_delay(), by_actions)
+    moved_cells = (
+        "" if by is None else f"{decoded.value(partial(moved, timesteps=by)):.2f} (by {by})" for by in delays
+    )
+    return f"{mean:+.1f} ± {deviation:.1f}", *moved_cells, f"{decoded.value(in_equal_parts):.2f}"
+
+
+def _row_cells(rows: Rows, row: Row, made: Sequence[Claim], development: Rows) -> tuple[str, ...]:
     test, arms = made[-1], rows.arms[row]
     rates = sorted({arm.figures["lr"] for arm in arms if "lr" in arm.figures})
     decoded = _DECODED_FIGURES if row.context else ()
@@ -190,6 +220,7 @@ def _row_cells(rows: Rows, row: Row, made: Sequence[Claim]) -> tuple[str, ...]:
         *(f"{PER_CENT * rows.mean(row, name):.2f}" for name in _SEGMENT_FIGURES),
         *(f"{PER_CENT * rows.mean(row, name):.2f}" for name in decoded),
         *("" for _ in range(len(_DECODED_FIGURES) - len(decoded))),
+        *_decoded_cells(rows, row, development),
         "" if test.gap_closed is None else f"{test.gap_closed:.2f}",
         f"{rows.mean(row, ACTION_LOSS):.3f}" if row.context else "",
         ", ".join(f"{rate:g}" for rate in rates),

@@ -36,8 +36,8 @@ _NO_TEST = SplitSpec(count=0, least_skills=0, most_skills=0)
 Fit = Callable[[SegmentationConfig, Path], float | None]
 """Fits in a folder, or resumes; returns the lowest validation loss, None when it was stopped."""
 
-_LADDER = (5e-6, 1.5e-5, 5e-5, 1.5e-4, 5e-4, 1.5e-3, 5e-3, 1.5e-2, 5e-2, 1.5e-1, 5e-1)
-"""Rates that may be tried."""
+_STEP = 3
+"""A rate beyond those that were tried, relative to the nearest."""
 
 
 def choose_lr(study: Study, arm: Arm, fit: Fit, *, results: Path, work: Path) -> float | None:
@@ -101,8 +101,9 @@ def _untried(losses: Mapping[float, float], first: Sequence[float]) -> list[floa
     """Returns the rates to try next, given the losses of those that were: the first ones, then what lies beyond."""
     if untried := [lr for lr in first if lr not in losses]:
         return untried
-    at = _LADDER.index(min(losses, key=losses.__getitem__))
-    return [lr for lr in _LADDER[max(0, at - 1) : at + 2] if lr not in losses]
+    best = min(losses, key=losses.__getitem__)
+    beyond = {max(losses): best * _STEP, min(losses): best / _STEP}
+    return [float(f"{beyond[best]:.2g}")] if best in beyond else []
 
 
 def _until_final(config: SegmentationConfig, *, steps: int) -> SegmentationConfig:

@@ -1,6 +1,7 @@
 """The robustness benchmark: what it draws, its figures as samples, its claims and its table."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -141,12 +142,41 @@ def test_where_smaller_is_better_a_claim_must_not_exceed_its_target(value: float
 
 @pytest.mark.parametrize(("recall", "met"), [(0.9, True), (0.89, False)])
 def test_precision_counts_at_the_recall_that_it_needs_over_all_policies(recall: float, met: bool) -> None:
-    one = results("blocks.a", {"precision": 1.0, "recall": recall})
-    other = results("blocks.b", {"precision": 0.96, "recall": recall})
+    one, other = visited("blocks.a", recall=recall, wrong=0), visited("blocks.b", recall=recall, wrong=0.01)
     wanted = [claim_named("reward_precision"), claim_named("reward_recall")]
     precision, _ = targets.make_claims([*one, *other], wanted)
-    assert (precision.claim.value, precision.claim.seeds, precision.claim.trials) == (0.98, 3, 8)
+    assert (precision.claim.seeds, precision.claim.trials) == (3, 8)
+    assert precision.claim.value == pytest.approx(0.4 * recall / (0.4 * recall + 0.6 * 0.005), abs=1e-4)
     assert precision.claim.met is met
+
+
+def visited(world: str, *, recall: float, wrong: float) -> list[ArmResult]:
+    """Results of a reward on 4 episodes of 1 000 states, in 900 of which the goal holds."""
+    holds, others = 900, 100
+    right, mistaken = recall * holds, wrong * others
+    samples = {
+        "precision": Sample([right] * 4, [right + mistaken] * 4),
+        "recall": Sample([right] * 4, [holds] * 4),
+        "true": Sample([holds] * 4, [holds + others] * 4),
+    }
+    return [result(Arm(world, "reward", {"fit": "augmented"}, seed), samples) for seed in range(3)]
+
+
+def test_all_runs_of_a_speed_on_the_processor_with_most_of_them_count() -> None:
+    rates = {"slow": [1.0], "fast": [7.0, 9.0, 4.0, 8.0, 5.0]}
+    arms = [(processor, rate) for processor, each in rates.items() for rate in each]
+    made = [
+        replace(
+            result(
+                Arm("blocks.yellow-left-of-green", "ppo_speed", seed=run), {"ticks-per-s-held": Sample([rate], [1])}
+            ),
+            machine={"processor": processor},
+        )
+        for run, (processor, rate) in enumerate(arms)
+    ]
+    (speed,) = targets.make_claims(made, [claim_named("ppo_speed_held")])
+    assert (speed.claim.value, speed.claim.low, speed.claim.high, speed.claim.trials) == (7.0, 4.0, 9.0, 5)
+    assert speed.worst == "fast"
 
 
 def claim_named(name: str) -> targets.Target:

@@ -1,6 +1,7 @@
 """Demonstrations, the supervised learner, and the scoring of labels."""
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,8 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from experiments.segmentation import dataset, draw, evaluation, guesses, supervised, trials, truth, weakly_supervised
+from experiments.segmentation import (
+    dataset,
+    delay,
+    draw,
+    evaluation,
+    guesses,
+    supervised,
+    trials,
+    truth,
+    weakly_supervised,
+)
 from experiments.segmentation.dataset import DatasetSpec, SplitSpec
+from experiments.segmentation.decoded import Decoded
+from experiments.segmentation.packed import pack, unpack
 from experiments.segmentation.rows import Row, Rows
 from experiments.segmentation.study import Method, Study
 from experiments.segmentation.targets import TEST_ACCURACY, Target
@@ -17,6 +30,7 @@ from experiments.workbench.arms import Arm
 from experiments.workbench.results import ArmResult, Sample
 
 from freerein.errors import InvalidInput
+from freerein.learning.fit import TrainingFailed
 from freerein_segmentation.model import SegmentationModel
 from freerein_segmentation.training import SegmentationConfig
 
@@ -128,7 +142,8 @@ def test_short_segments_are_rejected_and_what_is_kept_is_scored() -> None:
     predicted = np.repeat([0, 1, 2, 0], [7, 4, 3, 6])
     assert evaluation.reject_short(predicted).tolist() == [0] * 7 + [-1] * 7 + [0] * 6
 
-    outcome = evaluation.score([np.eye(3, dtype=np.float32)[predicted]], [truth_labels], split="validation")
+    one_hot = np.eye(3, dtype=np.float32)[predicted]
+    outcome = evaluation.score([one_hot], [evaluation.decode(one_hot)], [truth_labels], split="validation")
 
     assert outcome.figures["validation.unsmoothed_kept_share"] == pytest.approx(13 / 20)
     assert outcome.figures["validation.unsmoothed_kept_accuracy"] == pytest.approx(12 / 13, abs=1e-6)
@@ -140,11 +155,50 @@ def test_uncertain_timesteps_are_rejected_too() -> None:
     probabilities = np.stack([first, 1 - first], axis=1).astype(np.float32)
     assert evaluation.reject_uncertain(probabilities).tolist() == [0] * 20 + [-1] * 20
 
-    outcome = evaluation.score([probabilities], [np.repeat([0, 1], 20)], split="validation")
+    decoded = evaluation.decode(probabilities)
+    outcome = evaluation.score([probabilities], [decoded], [np.repeat([0, 1], 20)], split="validation")
 
     assert outcome.figures["validation.kept_accuracy"] == 0.5
     assert outcome.figures["validation.confident_kept_accuracy"] == 1
     assert outcome.figures["validation.confident_kept_share"] == pytest.approx(0.5, abs=0.05)
+
+
+def test_labels_that_are_late_are_as_late_as_they_were_made_and_come_right_when_moved() -> None:
+    truth_labels = np.repeat([0, 3, 1], [9, 6, 5])
+    late = np.repeat([0, 3, 1], [11, 6, 3])
+    assert delay.boundary_errors(late, truth_labels) == [2, 2]
+    assert delay.boundary_errors(truth_labels, late) == [-2, -2]
+    assert delay.boundary_errors(np.repeat([3, 1], [15, 5]), truth_labels) == [0]  # skill 3 never begins
+    assert delay.moved(late, 2).tolist() == truth_labels.tolist()
+    decoded = Decoded([[late], [truth_labels]], [truth_labels])
+    assert decoded.boundary_error() == (1.0, 1.0)
+    assert [sample.mean for sample in decoded.samples()] == [0.8, 1.0]
+    assert Decoded([[late]], [truth_labels]).best_delay() == 2
+
+
+def test_an_order_in_equal_parts_keeps_nothing_of_durations() -> None:
+    assert guesses.in_equal_parts(np.repeat([2, 0, 2], [1, 1, 7])).tolist() == [2, 2, 2, 0, 0, 0, 2, 2, 2]
+    assert guesses.in_equal_parts(np.repeat([2, 0], [4, 1])).tolist() == [2, 2, 2, 0, 0]
+
+
+def test_labels_that_are_packed_come_back() -> None:
+    labels = [np.array([0, 0, 255]), np.array([7])]
+    assert [each.tolist() for each in unpack(pack(labels), [3, 1])] == [[0, 0, 255], [7]]
+    with pytest.raises(ValueError, match=r"\[0, 255\]"):
+        pack([np.array([-1])])
+
+
+@pytest.mark.parametrize(
+    ("config", "guessed"),
+    [
+        (SegmentationConfig(objective="lse"), math.log(4)),
+        (SegmentationConfig(objective="mil"), math.log(4)),
+        (SegmentationConfig(final_objective="set_likelihood"), 0.1 * math.log(4) + math.log(2)),
+    ],
+)
+def test_a_network_that_knows_nothing_has_the_loss_of_guessing(config: SegmentationConfig, guessed: float) -> None:
+    tags = np.array([[True, True, False, False], [False, False, True, True]])  # each skill in every other trajectory
+    assert evaluation.guessed_tag_loss(config, tags) == pytest.approx(guessed, abs=1e-6)
 
 
 STUDY = Study(
@@ -159,7 +213,7 @@ STUDY = Study(
 
 
 def test_trials_choose_the_learning_rate_of_the_lowest_loss_once_for_all_seeds(tmp_path: Path) -> None:
-    losses, fitted = {0.01: 2.0, 0.001: 1.0, 0.1: 3.0}, []
+    losses, fitted = {0.01: 2.0, 0.001: 1.0, 0.1: 3.0, 0.00033: 1.5}, []
 
     def fit(config: SegmentationConfig, folder: Path) -> float:
         fitted.append((config.lr, config.steps, config.seed))
@@ -170,16 +224,28 @@ def test_trials_choose_the_learning_rate_of_the_lowest_loss_once_for_all_seeds(t
         return trials.choose_lr(study, arm, fit, results=tmp_path / "r", work=tmp_path / "w")
 
     assert [choose(STUDY, seed=1), choose(STUDY, seed=0)] == [0.001, 0.001]
-    assert fitted == [(0.01, 2, 0), (0.001, 2, 0), (0.1, 2, 0)]
+    assert fitted == [(0.01, 2, 0), (0.001, 2, 0), (0.1, 2, 0), (0.00033, 2, 0)]  # until the best is between others
     assert choose(replace(STUDY, trial_steps=4), seed=0) == 0.001
-    assert [steps for _, steps, _ in fitted] == [2] * 3 + [4] * 3
+    assert [steps for _, steps, _ in fitted] == [2] * 4 + [4] * 4
 
     path = tmp_path / "r" / "trials" / "grid-lse-causal.json"
     made = json.loads(path.read_bytes())
     del made["made_by"]["fit"]["rounds"]  # as before the key, which has a default, was added
     path.write_text(json.dumps(made))
     assert choose(replace(STUDY, trial_steps=4), seed=0) == 0.001
-    assert len(fitted) == 6
+    assert len(fitted) == 8
+
+
+def test_a_rate_under_which_training_fails_is_tried_and_not_chosen(tmp_path: Path) -> None:
+    def fit(config: SegmentationConfig, folder: Path) -> float:
+        if config.lr >= 0.1:
+            raise TrainingFailed("An image encoder is dead.")
+        return 1 / config.lr
+
+    arm = Arm("grid", "lse", {"context": "causal"})
+    assert trials.choose_lr(STUDY, arm, fit, results=tmp_path / "r", work=tmp_path / "w") == 0.01
+    (made,) = (tmp_path / "r" / "trials").glob("*.json")
+    assert json.loads(made.read_bytes())["validation_loss"] == {"0.001": 1000, "0.01": 100, "0.1": None}
 
 
 def test_a_method_with_a_learning_rate_of_its_own_tries_none() -> None:
@@ -204,7 +270,7 @@ def test_trials_end_before_the_final_objective(tmp_path: Path) -> None:
 
     def fit(config: SegmentationConfig, folder: Path) -> float:
         fitted.append(config)
-        return 1.0
+        return abs(config.lr - 0.01)
 
     study = replace(STUDY, methods=(ours,))
     trials.choose_lr(study, study.arms[-1], fit, results=tmp_path / "r", work=tmp_path / "w")

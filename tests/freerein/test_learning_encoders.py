@@ -155,3 +155,17 @@ def test_principal_components_tell_where_a_light_is_and_those_beyond_the_rank_ar
     torch.testing.assert_close((few @ fitted)[1::2, 0], places[1::2] - places[::2].mean(), atol=0.1, rtol=0)
     assert not features[:, 32:].any()
     assert features[:, 0].std() > features[:, 1].std() > features[:, 2].std() > 0
+
+
+def test_an_encoder_that_tells_no_frames_apart_is_dead_and_one_that_was_shown_one_frame_is_not() -> None:
+    camera = Camera("top", 33, 30, 3)
+    encoders, seen = CameraEncoders(PatchEncoder, (camera,), features=8), frames(33, 30, 3)
+    weights.initialise(encoders, generator=torch.Generator().manual_seed(0))
+    encoders.fit_normalisation({"top": seen}, generator=torch.Generator())
+    assert encoders.dead_cameras() == []
+    stem = encoders.encoders[0].stem
+    assert isinstance(stem, torch.nn.Conv2d)
+    torch.nn.init.constant_(stem.bias, -1e6)  # below zero for every frame: relu lets nothing through
+    assert encoders.dead_cameras() == ["top"]
+    encoders.fit_normalisation({"top": seen[:1].repeat(4, 1, 1, 1)}, generator=torch.Generator())
+    assert encoders.dead_cameras() == []

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import torch
 from freerein import metrics
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.fit import FitResult, fit
+from freerein.learning.fit import FitResult, TrainingFailed, fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.segmentation import FLAGGED
@@ -97,6 +97,24 @@ def test_held_out_timesteps_have_every_in_distribution_score_alike_and_other_pic
     stripes = np.zeros((20, 12, 12, 3), np.uint8)
     stripes[:, ::2] = 255
     assert model.predict(stripes, np.zeros((20, 2), np.float32)).in_distribution.max() < FLAGGED
+
+
+class _Blind(SegmentationLearner):
+    """A learner whose encoder lets nothing through from the start."""
+
+    def init(self, generator: torch.Generator) -> Any:
+        state = super().init(generator)
+        stem: Any = state.network.image.encoders[0].stem
+        torch.nn.init.constant_(stem.bias, -1e6)
+        return state
+
+
+def test_a_fit_whose_encoder_is_dead_fails_and_says_so(tmp_path: Path) -> None:
+    seeing = learner()
+    blind = _Blind(**{each.name: getattr(seeing, each.name) for each in fields(seeing)})
+    with pytest.raises(TrainingFailed, match="camera front has the same features for all training frames") as failed:
+        fit(blind, tmp_path)
+    assert "`warmup_steps`" in failed.value.hint
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:

@@ -1,0 +1,67 @@
+"""Decoded labels of test trajectories, which results hold, and what follows from them without training."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.segmentation.delay import MOST, boundary_errors, moved
+from experiments.segmentation.evaluation import FRAME_ACCURACY
+from experiments.segmentation.guesses import TRUTH
+from experiments.segmentation.packed import PACKED, PACKED_DECODED, unpack
+from experiments.segmentation.rows import PER_CENT, Row, Rows
+from experiments.workbench import claims
+from experiments.workbench.results import ArmResult, Sample
+
+Labels = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Decoded:
+    """Decoded labels of the networks of a row, and the true ones.
+
+    Attributes:
+        networks: By network and test trajectory, int64 (T,).
+        truth: By test trajectory, int64 (T,).
+    """
+
+    networks: Sequence[Sequence[Labels]]
+    truth: Sequence[Labels]
+
+    @classmethod
+    def of(cls, rows: Rows, row: Row) -> "Decoded | None":
+        """Returns the labels of a row; None where its results, or those of the truth, are missing."""
+        known, arms = rows.arms.get(Row(TRUTH)), rows.arms.get(row, ())
+        networks = [_unpacked(arm, PACKED_DECODED) for arm in arms if f"test.{PACKED_DECODED}" in arm.shown]
+        return cls(networks, _unpacked(known[0], PACKED)) if known and networks else None
+
+    def samples(self, change: Callable[[Labels], Labels] = lambda labels: labels) -> list[Sample]:
+        """Returns the frame accuracy of each network's labels, changed."""
+        return [self._sample([change(each) for each in labels]) for labels in self.networks]
+
+    def boundary_error(self) -> tuple[float, float]:
+        """Returns mean and standard deviation of how late skills begin, in timesteps, over boundaries and networks."""
+        pairs = [pair for labels in self.networks for pair in zip(labels, self.truth, strict=True)]
+        errors = [error for pair in pairs for error in boundary_errors(*pair)]
+        return (float(np.mean(errors)), float(np.std(errors))) if errors else (np.nan, np.nan)
+
+    def best_delay(self) -> int:
+        """Returns how many timesteps earlier labels are most accurate: by true labels, for the development world."""
+        values = [claims.mean(self.samples(partial(moved, timesteps=timesteps))) for timesteps in range(MOST + 1)]
+        return int(np.argmax(values))
+
+    def value(self, change: Callable[[Labels], Labels]) -> float:
+        """Returns the accuracy of changed labels in per cent, as a mean over networks."""
+        return PER_CENT * claims.mean(self.samples(change))
+
+    def _sample(self, labels: Sequence[Labels]) -> Sample:
+        correct = [int((ours == theirs).sum()) for ours, theirs in zip(labels, self.truth, strict=True)]
+        return Sample(correct, [len(each) for each in self.truth])
+
+
+def _unpacked(arm: ArmResult, name: str) -> list[Labels]:
+    lengths = [int(count) for count in arm.samples[f"test.{FRAME_ACCURACY}"].counts]
+    return unpack(cast(str, arm.shown[f"test.{name}"]), lengths)
