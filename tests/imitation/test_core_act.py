@@ -159,7 +159,14 @@ async def test_nothing_executed_is_told_from_something(core: Any, robots: Any) -
     none = await core.act.act(robots.asked(1, 3))
     empty = await core.act.act(robots.asked(1, 3, executed_actions=np.zeros((0, 2), np.float32)))
     some = await core.act.act(robots.asked(1, 3, did=(0.5, 0.5)))
-    assert none.state == empty.state != some.state
+    listed = await core.act.act(robots.asked(1, 3, executed_actions=np.empty(0, np.float32)))  # [] in JSON
+    assert none.state == empty.state == listed.state != some.state
+
+
+@pytest.mark.parametrize("measured", [np.array([[1, -1]]), np.array([[1.0000001, -1.0009]], np.float32)])
+async def test_executed_actions_may_be_whole_numbers_and_a_hair_outside(core: Any, robots: Any, measured: Any) -> None:
+    exact = await core.act.act(robots.asked(1, 3, did=(1.0, -1.0)))
+    assert (await core.act.act(robots.asked(1, 3, executed_actions=measured))).state == exact.state
 
 
 async def test_a_request_may_give_its_goals_less_time(core: Any, robots: Any) -> None:

@@ -195,6 +195,12 @@ def test_wrong_actions_are_refused_and_change_nothing(
     assert envs.snapshot() == before
 
 
+@pytest.mark.parametrize("measured", [np.ones((1, 3), np.int64), np.full((1, 3), 1.0000001, np.float32)])
+def test_actions_may_be_whole_numbers_and_a_hair_outside(begin: MakeEnvs, measured: np.ndarray) -> None:
+    exact = begin(BLOCKS, num_envs=1).step(np.ones((1, 3), np.float32), ("front",))
+    assert bits(begin(BLOCKS, num_envs=1).step(measured, ("front",))) == bits(exact)
+
+
 @pytest.mark.parametrize("cameras", [("nowhere",), ("top", "nowhere")])
 def test_a_camera_that_there_is_not_is_refused_before_the_step(begin: MakeEnvs, cameras: Sequence[str]) -> None:
     envs = begin()

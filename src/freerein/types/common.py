@@ -14,6 +14,9 @@ Encoding = Literal["raw_rgb8", "raw_gray8", "png", "jpeg", "webp"]
 MAX_TEXT = 2000
 """Longest goal text, in characters."""
 
+ACTION_TOLERANCE = 1e-3
+"""By how much a number of a continuous action may be out of bounds: it is clipped."""
+
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 _ID = re.compile(r"[0-9a-f]{32}")
 
@@ -124,6 +127,22 @@ class ActionSpec:
     def bounds(self) -> tuple[float, float]:
         """Least and greatest value of each number of an action."""
         return (0, self.choices - 1) if self.choices else (-1.0, 1.0)
+
+    def normalised(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Returns actions (..., size) in the spec's dtype and bounds, where that changes them by less than rounding does.
+
+        Whole numbers become float32, and whole float32 int64: many languages write 1.0 as 1 in JSON. What was measured
+        may be outside [-1, 1] by `ACTION_TOLERANCE`. Any other number stays as it is, for the caller to refuse.
+        """
+        if actions.dtype not in (np.int64, np.float32):
+            return actions
+        with np.errstate(invalid="ignore"):
+            cast = actions.astype(self.dtype, copy=False)
+            if self.choices:
+                return cast if np.array_equal(cast, actions) else actions
+            inside = np.clip(cast, *self.bounds)
+            is_near = np.abs(cast.astype(np.float64) - inside) <= ACTION_TOLERANCE
+        return np.where(is_near, inside, cast)
 
     def no_action(self) -> npt.NDArray[Any]:
         """Returns the previous action at the start: zeros, float32 (size,), or for discrete actions -1, int64 (1,)."""

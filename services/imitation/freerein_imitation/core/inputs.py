@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from freerein import images
 from freerein.errors import InvalidInput
-from freerein.types.common import MAX_TEXT, Camera, Goal, Image, Observation
+from freerein.types.common import ACTION_TOLERANCE, MAX_TEXT, Camera, Goal, Image, Observation
 from freerein_imitation.core.policy_state import DIGEST_BYTES
 from freerein_imitation.model.known_texts import KnownText
 from freerein_imitation.model.policy import CameraFrames, PolicySpec
@@ -89,8 +89,9 @@ def parse_previous_action(spec: PolicySpec, executed: npt.NDArray[Any] | None) -
     """
     action = spec.action
     none = action.no_action()
-    if executed is None:
+    if executed is None or executed.shape == (0,):  # the latter is an empty list of JSON
         return none
+    executed = action.normalised(executed)
     if executed.dtype != action.dtype or executed.ndim != 2 or executed.shape[1] != action.size:
         raise InvalidInput(
             f"`executed_actions` must be {action.dtype} of shape (N, {action.size}); "
@@ -101,7 +102,7 @@ def parse_previous_action(spec: PolicySpec, executed: npt.NDArray[Any] | None) -
     low, high = action.bounds
     if not ((executed >= low) & (executed <= high)).all():  # False for NaN
         raise InvalidInput(
-            f"`executed_actions` must be finite and in [{low:g}, {high:g}]; one is not.",
+            f"`executed_actions` must be finite and in [{low:g}, {high:g}], up to {ACTION_TOLERANCE:g}; one is not.",
             field="executed_actions",
             hint="Scale actions as the model's spec says.",
         )

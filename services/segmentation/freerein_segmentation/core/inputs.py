@@ -2,8 +2,10 @@
 
 import asyncio
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from freerein import images
 from freerein.errors import InvalidInput, TooLarge
@@ -57,8 +59,7 @@ async def read_timesteps(model: SkillModel, request: SegmentRequest | Timesteps)
     _check_frames(model.camera, frames)
     if model.action is None:
         return frames, None
-    check_actions(model.action, request.actions, len(frames))
-    return frames, request.actions
+    return frames, checked_actions(model.action, request.actions, len(frames))
 
 
 def check_one_form(request: SegmentRequest | Timesteps) -> None:
@@ -74,11 +75,12 @@ def check_one_form(request: SegmentRequest | Timesteps) -> None:
         )
 
 
-def check_actions(action: ActionSpec, actions: Actions, timesteps: int | None) -> None:
-    """Raises InvalidInput when actions are not (T, A) of the model's type, or not within bounds.
+def checked_actions(action: ActionSpec, actions: Actions, timesteps: int | None) -> npt.NDArray[Any]:
+    """Returns actions, `normalised`; raises InvalidInput when they are not (T, A) of the model's type and in bounds.
 
     `timesteps` is T; None while it is not known.
     """
+    actions = None if actions is None else action.normalised(actions)
     if (
         actions is None
         or actions.dtype != action.dtype
@@ -98,6 +100,7 @@ def check_actions(action: ActionSpec, actions: Actions, timesteps: int | None) -
             field="actions",
             hint="Scale actions as in the training data.",
         )
+    return actions
 
 
 def _decode(encoded: Sequence[Image], camera: Camera) -> Pixels:

@@ -24,7 +24,7 @@ from freerein_segmentation.core.inference import (
     WholeTrajectory,
     Work,
 )
-from freerein_segmentation.core.inputs import check_actions, check_one_form, check_options, read_timesteps
+from freerein_segmentation.core.inputs import check_one_form, check_options, checked_actions, read_timesteps
 from freerein_segmentation.core.video_decoding import VideoDecoding
 from freerein_segmentation.model import Prediction
 
@@ -89,9 +89,7 @@ class Segmenter:
     ) -> tuple[Prediction, npt.NDArray[np.float32]]:
         """Returns the prediction for the frames of a video, and their times, float32 (T,)."""
         check_one_form(request)
-        if model.action is not None:
-            check_actions(model.action, request.actions, None)
-        actions = request.actions if model.action is not None else None
+        actions = None if model.action is None else checked_actions(model.action, request.actions, None)
         parts, times, count = [], [np.empty(0, np.float32)], 0
         async with aclosing(self.videos.frames(request.video, model.camera, resize=request.resize)) as chunks:
             while chunk := await timer.decode(anext(chunks, None)):

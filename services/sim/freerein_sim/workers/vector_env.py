@@ -115,12 +115,13 @@ class VectorEnv:
         """Steps every environment once; one whose episode ends is reset in the same call.
 
         Args:
-            actions: float32 or int64 (N, size), matching the task's action spec.
+            actions: float32 or int64 (N, size), matching the task's action spec once they are `normalised`.
             cameras: Cameras to render.
             action_repeat: Timesteps that each action is held for, or until the episode ends.
         """
         self._check_reset("Step")
         _check_action_repeat(action_repeat)
+        actions = self.task.spec.action.normalised(actions)
         check_actions(self.task.spec.action, actions, batch=(self.num_envs,))
         views = self._cameras(cameras)
         self._try_views(views)
