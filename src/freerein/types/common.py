@@ -129,7 +129,7 @@ class ActionSpec:
         return (0, self.choices - 1) if self.choices else (-1.0, 1.0)
 
     def normalised(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Returns actions (..., size) in the spec's dtype and bounds, where that changes them by less than rounding does.
+        """Returns actions (..., size) in the spec's dtype and bounds, where that changes no more than rounding does.
 
         Whole numbers become float32, and whole float32 int64: many languages write 1.0 as 1 in JSON. What was measured
         may be outside [-1, 1] by `ACTION_TOLERANCE`. Any other number stays as it is, for the caller to refuse.
