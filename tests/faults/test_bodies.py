@@ -131,7 +131,7 @@ def test_a_body_is_what_its_content_type_says_or_refused(
     [
         b'{"images": [%s1]}' % (b"1," * 1_000_000),
         b'{"images": [%s{}]}' % (b'{"encoding": "secret"},' * 200_000),
-        b"{%s}" % b",".join(b'"secret%d": 1' % i for i in range(100_000)),
+        b"{%s}" % b",".join(b'"%s%d": "secret"' % (b"x" * 64, i) for i in range(100_000)),
         b'{"model": {"name": "%s"}}' % (b"secret" * 500_000),
         b'{"%s": 1}' % (b"secret" * 500_000),
     ],

@@ -206,8 +206,10 @@ async def test_any_bytes_are_a_request_or_an_error_of_ours(data: bytes) -> None:
         ({"images": [{"encoding": SECRET, "data": ""}]}, "images.0.encoding"),
         ({"images": [{"encoding": "png", "data": SECRET}]}, "images.0.data"),
         ({"model": SECRET}, "model"),
-        ({SECRET: 1}, ""),
-        ({"model": {SECRET: 1}}, ""),
+        ({SECRET: 1, "smoothing": "x"}, "smoothing"),
+        ({"x" * 65 + SECRET: 1}, ""),
+        ({f"{SECRET}\n": 1}, ""),
+        ({"goalText": SECRET}, ""),
         ({"frames": {"datatype": SECRET, "shape": [], "raw": ""}}, "frames.datatype"),
         ({"frames": {"datatype": "FP32", "shape": [2], "raw": ""}}, "frames"),
     ],
@@ -218,6 +220,45 @@ async def test_an_error_names_the_field_and_repeats_nothing(value: object, field
     assert error.value.field == field
     assert SECRET not in error.value.detail + error.value.hint + error.value.field
     assert error.value.hint
+
+
+@pytest.mark.parametrize(
+    ("value", "cls", "expected"),
+    [
+        ({"goalText": "x"}, RewardRequest, "got `goalText`; did you mean `goal_text`?"),
+        ({"Goal-Text": "x"}, RewardRequest, "got `Goal-Text`; did you mean `goal_text`?"),
+        ({"smothing": 1}, SegmentRequest, "got `smothing`; did you mean `smoothing`?"),
+        ({"version": "x"}, SegmentRequest, "got `version`; did you mean `model.version`?"),
+        ({"modelName": "x"}, SegmentRequest, "got `modelName`; did you mean `model.name`?"),
+        ({"model": {"Name": "x"}}, SegmentRequest, "got `Name`; did you mean `name`?"),
+        (
+            {"images": [{"encoding": "png", "data": "", "camara": "x"}]},
+            SegmentRequest,
+            "got `camara`; did you mean `camera`?",
+        ),
+        ({"gr\u00fc\u00dfe": 1}, SegmentRequest, "got `gr\u00fc\u00dfe`."),
+        ({"unrelated": 1}, SegmentRequest, "got `unrelated`."),
+        ({"": 1}, SegmentRequest, "got a name of 0 characters."),
+        ({"a`b": 1}, SegmentRequest, "got a name of 3 characters."),
+        ({"\u202eabc": 1}, SegmentRequest, "got a name of 4 characters."),
+    ],
+)
+async def test_a_name_that_is_no_field_is_quoted_beside_the_one_that_was_meant(
+    value: object, cls: type[object], expected: str
+) -> None:
+    with pytest.raises(InvalidInput) as error:
+        await read(json.dumps(value).encode(), cls)
+    assert error.value.detail == f"The request must have only the fields of its schema; {expected}"
+
+
+async def test_names_of_parts_and_parameters_are_quoted_too() -> None:
+    expected = "got `goalText`; did you mean `goal_text`[?]"
+    with pytest.raises(InvalidInput, match=expected):
+        await read(form(part("goalText", b"x")), RewardRequest, MULTIPART)
+    with pytest.raises(InvalidInput, match=expected):
+        body.read_query(request(query="goalText=x"), RewardRequest)
+    with pytest.raises(InvalidInput, match=r"got `Version`; did you mean `version`[?]"):
+        body.read_query(request(query="model.Version=x"), RewardRequest)
 
 
 @pytest.mark.fault("F11")

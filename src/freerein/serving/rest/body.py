@@ -25,6 +25,7 @@ from freerein import images, wire
 from freerein.atomic_files import storage_errors
 from freerein.errors import Cancelled, InvalidInput, MalformedRequest, UnsupportedMedia
 from freerein.serving.limits import FEW_VALUES, MAX_INLINE_BYTES, MAX_INLINE_IMAGE_BYTES, MAX_VALUES
+from freerein.serving.rest.field_names import unknown_field
 from freerein.serving.rest.schemas import STRUCT, schema_of
 
 T = TypeVar("T")
@@ -182,14 +183,14 @@ def _from_parts(parts: Iterable[tuple[str, bytes | str]], cls: type[T]) -> T:
         node, message = tree, wire.descriptor_of(cls)
         *parents, last = name.split(".")
         for parent in parents:
-            field = _field(message, parent)
+            field = _field(message, parent, cls)
             if field.message_type is None or field.is_repeated or field.message_type.full_name == STRUCT:
-                raise _unknown_field()
+                raise _no_message(field)
             message = field.message_type
             node = node.setdefault(parent, {})
             if not isinstance(node, dict):
                 raise _repeated(field)
-        _insert(node, _field(message, last), content)
+        _insert(node, _field(message, last, cls), content)
     return _validated(tree, cls, strict=False)
 
 
@@ -226,10 +227,10 @@ def _part_value(field: FieldDescriptor, content: bytes | str) -> Any:
     return value
 
 
-def _field(message: Descriptor, name: str) -> FieldDescriptor:
+def _field(message: Descriptor, name: str, cls: type[object]) -> FieldDescriptor:
     field = message.fields_by_name.get(name)
     if field is None:
-        raise _unknown_field()
+        raise unknown_field(name, message, wire.descriptor_of(cls))
     return field
 
 
@@ -237,9 +238,10 @@ def _repeated(field: FieldDescriptor) -> InvalidInput:
     return InvalidInput(f"`{field.name}` must be given once; it is repeated.", field=field.name, hint="Send it once.")
 
 
-def _unknown_field() -> InvalidInput:
+def _no_message(field: FieldDescriptor) -> InvalidInput:
     return InvalidInput(
-        "Every part or parameter must be a field of the request; one is unknown.",
+        f"`{field.name}` has no parts with names; got one after a dot.",
+        field=field.name,
         hint="Dots lead into messages: model.name. GET /openapi.json lists the fields.",
     )
 
@@ -257,15 +259,22 @@ def _invalid(error: ValidationError, message: Descriptor) -> InvalidInput:
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     field = _dotted_name(first["loc"], message)
     if first["type"] == "extra_forbidden":
-        return InvalidInput(
-            "The request must have only the fields of its schema; got an unknown one.",
-            hint="GET /openapi.json lists the fields.",
-        )
+        return unknown_field(str(first["loc"][-1]), _message_at(first["loc"][:-1], message), message)
     return InvalidInput(
         f"`{field}` is invalid: {first['msg']} ({error.error_count()} errors).",
         field=field,
         hint="GET /openapi.json describes every field.",
     )
+
+
+def _message_at(location: Iterable[int | str], message: Descriptor) -> Descriptor:
+    """Returns the message at a place in a request; in a map, the message of its values."""
+    for part in location:
+        if message.GetOptions().map_entry:
+            message = message.fields_by_name["value"].message_type
+        elif isinstance(part, str) and part in message.fields_by_name:
+            message = message.fields_by_name[part].message_type
+    return message
 
 
 def _dotted_name(location: Iterable[int | str], message: Descriptor | None) -> str:
