@@ -165,7 +165,7 @@ BAD = {
     "a sequence of observations": packed(**{"observation/front": array(shape=(1, 4, 4, 3))}),
     "no goals": packed(**{"goal/front": array(shape=(0, 4, 4, 3), data=b"")}),
     "an unknown key": packed(state=b""),
-    "another form of goal": packed(prompt="go"),
+    "another form of goal": packed(recipe=["go"]),
     "actions of another shape": packed(executed_actions=array(dtype="<f4", shape=(4, 3))),
     "actions of another type": packed(executed_actions=[0.5, 0.5]),
     "a flag of another type": packed(reset=1),

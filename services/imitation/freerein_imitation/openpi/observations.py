@@ -8,7 +8,8 @@
     executed_actions       float32 (N, A) or int64 (N, 1), executed since the previous observation
     reset                  bool: an episode begins
 
-A message holds the model's form of goal only. For a single camera `image` is as good as its name.
+A message holds the model's form of goal only, but openpi's runtimes send a `prompt` always: beside another form it is
+ignored, and the reply says so. For a single camera `image` is as good as its name.
 """
 
 from collections.abc import Sequence
@@ -20,10 +21,13 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein.types.common import Camera, Encoding, Goal, Image, Observation
+from freerein.unknown_names import listed, nearest, quoted
 from freerein_imitation.model.policy import PolicySpec
 
 _ONLY_CAMERA = "image"
 _STATE = "observation/state"
+_PROMPT = "prompt"
+_PROMPT_IGNORED = "`prompt` is ignored: a goal of this model is given by {}."
 _HINT = "The metadata sent on connect tells the model's cameras, goals and actions."
 
 
@@ -36,12 +40,14 @@ class OpenpiObservation:
         goal: Its goal; None where it holds none.
         executed_actions: As in `ActRequest`; None where it does not tell.
         reset: Whether an episode begins.
+        note: What the reply should say of it; empty for nothing.
     """
 
     observation: Observation
     goal: Goal | None
     executed_actions: npt.NDArray[Any] | None
     reset: bool
+    note: str = ""
 
 
 def parse_observation(spec: PolicySpec, message: dict[str, Any]) -> OpenpiObservation:
@@ -55,12 +61,9 @@ def parse_observation(spec: PolicySpec, message: dict[str, Any]) -> OpenpiObserv
     goal = _take_goal(rest, spec)
     state = rest.pop(_STATE, None)
     executed, reset = rest.pop("executed_actions", None), rest.pop("reset", False)
+    note = _PROMPT_IGNORED.format(spec.goal_form) if rest.pop(_PROMPT, None) is not None else ""
     if rest:
-        raise InvalidInput(
-            f"An observation for this model may hold {', '.join(_known_keys(spec))}; got {len(rest)} other keys.",
-            field="observation",
-            hint=_HINT,
-        )
+        raise _unknown_keys(spec, rest)
     if len(images) != len(spec.cameras):
         keys = ", ".join(f"`observation/{camera.name}`" for camera in spec.cameras)
         raise InvalidInput(
@@ -74,17 +77,35 @@ def parse_observation(spec: PolicySpec, message: dict[str, Any]) -> OpenpiObserv
         raise InvalidInput(f"`{_STATE}` must be an array; it is not.", field=_STATE, hint=_HINT)
     if not isinstance(reset, bool):
         raise InvalidInput("`reset` must be a boolean; it is not.", field="reset", hint="Send True or False.")
-    return OpenpiObservation(Observation(images, state), goal, executed, reset)
+    return OpenpiObservation(Observation(images, state), goal, executed, reset, note)
+
+
+def _unknown_keys(spec: PolicySpec, rest: dict[str, Any]) -> InvalidInput:
+    """Returns the error of keys that the model has no use for, and says where they belong."""
+    known = _known_keys(spec)
+    meant = {key: _meant(spec, value) or nearest(key, known) for key, value in rest.items()}
+    likely = [f"{quoted(key)} is probably `{each}`." for key, each in meant.items() if each][:1]
+    return InvalidInput(
+        f"An observation for this model may hold {', '.join(f'`{key}`' for key in known)}; got {listed(list(rest))}.",
+        field="observation",
+        hint=" ".join([*likely, _HINT]),
+    )
+
+
+def _meant(spec: PolicySpec, value: object) -> str | None:
+    """Returns the key of a model's only camera for a picture; None for other models and values."""
+    is_picture = isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.ndim == 3
+    return f"observation/{spec.cameras[0].name}" if is_picture and len(spec.cameras) == 1 else None
 
 
 def _known_keys(spec: PolicySpec) -> list[str]:
     goals = {
-        "text": ["prompt"],
+        "text": [_PROMPT],
         "recipe": ["recipe"],
         "images": [f"goal/{camera.name}" for camera in spec.cameras],
     }
     observed = [f"observation/{camera.name}" for camera in spec.cameras]
-    return [f"`{key}`" for key in (*observed, _STATE, *goals[spec.goal_form], "executed_actions", "reset")]
+    return [*observed, _STATE, *goals[spec.goal_form], "executed_actions", "reset"]
 
 
 def _take_goal(rest: dict[str, Any], spec: PolicySpec) -> Goal | None:
@@ -93,7 +114,7 @@ def _take_goal(rest: dict[str, Any], spec: PolicySpec) -> Goal | None:
         has_goal = any(key.startswith("goal/") for key in rest)
         return Goal(_take_images(rest, "goal", spec.cameras)) if has_goal else None
     if spec.goal_form == "text":
-        prompt = rest.pop("prompt", None)
+        prompt = rest.pop(_PROMPT, None)
         if prompt is not None and not isinstance(prompt, str):
             raise InvalidInput("`prompt` must be a text; it is not.", field="prompt", hint="Send a str.")
         return None if prompt is None else Goal(text=prompt)

@@ -21,7 +21,7 @@ from freerein_imitation.core.act_context import ActContext, spec_response
 from freerein_imitation.core.inputs import elapsed_steps
 from freerein_imitation.core.policy_session import PolicyBatcher, PolicySession
 from freerein_imitation.model.policy import Policy
-from freerein_imitation.openpi.messages import pack, unpack
+from freerein_imitation.openpi.messages import pack, read
 from freerein_imitation.openpi.observations import OpenpiObservation, parse_observation
 
 MAX_STEPS = 2**32 - 1
@@ -109,7 +109,7 @@ class OpenpiConnection:
             ServiceError: The model failed, is overloaded, or did not answer in time.
         """
         arrived_ns = time.perf_counter_ns()
-        message = parse_observation(self._policy.spec, unpack(data))
+        message = parse_observation(self._policy.spec, await read(data))
         session = await self._session_of(message)
         executed = self._proposed if message.executed_actions is None else message.executed_actions
         result, timing = await session.act(
@@ -132,6 +132,7 @@ class OpenpiConnection:
                 "in_distribution": result.in_distribution,
                 "model": asdict(self._model),
                 "timing": asdict(timing),
+                **({"note": message.note} if message.note else {}),
             }
         )
 
