@@ -1,14 +1,14 @@
 """Strict parsing of configurations: a frozen dataclass declares names, types, bounds and defaults."""
 
+import difflib
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from inspect import getattr_static
 from types import UnionType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from freerein.errors import InvalidInput
-from freerein.unknown_names import nearest, quoted
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -114,9 +114,9 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
     for key in values:
         if key not in names:
             raise InvalidInput(
-                f"The configuration may hold {', '.join(names)}; got {quoted(key)}.",
+                f"The configuration may hold {', '.join(names)}; got an unknown key.",
                 field="config",
-                hint=f"Did you mean `{meant}`?" if (meant := nearest(key, names)) else "Leave it out.",
+                hint=_suggestion(key, names),
             )
     needed = [each.name for each in fields(kind) if each.default is MISSING and each.default_factory is MISSING]
     missing = [name for name in needed if name not in values]
@@ -130,6 +130,11 @@ def parse(kind: type[C], values: Mapping[str, object]) -> C:
         if isinstance(bounds, _Checked):
             bounds.check(value, field=f"config.{key}", hint="Leave it out for the default.")
     return kind(**parsed)
+
+
+def _suggestion(key: str, known: Iterable[str]) -> str:
+    nearest = difflib.get_close_matches(key[:64], list(known), n=1)
+    return f"Did you mean `{nearest[0]}`?" if nearest else "Leave it out."
 
 
 def _convert(key: str, kind: object, value: object) -> Any:

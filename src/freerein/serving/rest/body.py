@@ -240,7 +240,7 @@ def _repeated(field: FieldDescriptor) -> InvalidInput:
 
 def _no_message(field: FieldDescriptor) -> InvalidInput:
     return InvalidInput(
-        f"`{field.name}` has no parts with names; got one after a dot.",
+        f"Every part or parameter must be a field of the request; `{field.name}` has none with names.",
         field=field.name,
         hint="Dots lead into messages: model.name. GET /openapi.json lists the fields.",
     )
