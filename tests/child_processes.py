@@ -6,11 +6,15 @@ import psutil
 
 
 def children_running(module: str, parent: int | None = None) -> list[psutil.Process]:
-    """Returns the children of a process (this one, if none is named) that run a module and have not ended."""
-    return [child for child in psutil.Process(parent).children() if _runs(child, module)]
+    """Returns the children of a process (this one, if none is named) that run a module and have not ended.
+
+    Children of children are among them, as those of a fork server are, which are told by their names.
+    """
+    return [child for child in psutil.Process(parent).children(recursive=True) if _runs(child, module)]
 
 
 def _runs(process: psutil.Process, module: str) -> bool:
     with suppress(psutil.NoSuchProcess):  # it ended meanwhile
-        return any(module in word for word in process.cmdline())
+        is_named = process.name() == module.removeprefix("freerein_")[:15] and process.status() != psutil.STATUS_ZOMBIE
+        return is_named or any(module in word for word in process.cmdline())
     return False

@@ -97,9 +97,11 @@ def reserve_port() -> int:
     return int(_reserved[-1].getsockname()[1])
 
 
-def pytest_configure() -> None:
-    """Collects no garbage until all tests are found: there is none among them."""
+def pytest_configure(config: pytest.Config) -> None:
+    """Collects no garbage until all tests are found: there is none. Test workers share one fork server."""
     gc.disable()
+    if getattr(config.option, "numprocesses", None):
+        _fork_server()
 
 
 def pytest_collection_finish() -> None:
@@ -141,21 +143,34 @@ def start_process(module: str, data_dir: Path, **environ: str) -> RunningService
     return RunningService(process, output, url, address, data_dir, log)
 
 
+_FORK_SERVER = "FREEREIN_TESTS_FORK_SERVER"
+"""Variable of the environment that tells test workers the path of the fork server's socket."""
+
+
 class _ServicesForkServer(ForkServer):
-    """The fork server of this test worker, in a process that has imported all services."""
+    """The fork server of all test workers, in a process that has imported all services."""
 
     def __init__(self) -> None:
-        self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._process = None if _FORK_SERVER in os.environ else _serve_forks()
+        self._ours = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._ours.connect(os.environ[_FORK_SERVER])
         super().__init__(self._ours)
-        command = [sys.executable, _ROOT / "tests" / "fork_services.py", str(theirs.fileno())]
-        with theirs:
-            self._process = subprocess.Popen(
-                command, env={**os.environ, **_SERVICE_ENVIRON}, pass_fds=[theirs.fileno()]
-            )
 
     def close(self) -> None:
+        if self._process is not None:
+            self._ours.send(b"\0")
+            self._process.wait(60)
         self._ours.close()
-        self._process.wait(60)
+
+
+def _serve_forks() -> "subprocess.Popen[bytes]":
+    """Starts a process that will fork for whoever sends a request to the socket at `_FORK_SERVER`."""
+    os.environ[_FORK_SERVER] = str(Path(tempfile.mkdtemp(), "fork-server"))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as requests:
+        requests.bind(os.environ[_FORK_SERVER])
+        module = ("freerein.cli.services.die_with_parent", str(os.getpid()), "tests.fork_services")
+        command = [sys.executable, "-m", *module, str(requests.fileno())]
+        return subprocess.Popen(command, env={**os.environ, **_SERVICE_ENVIRON}, pass_fds=[requests.fileno()])
 
 
 _fork_server = cache(_ServicesForkServer)
@@ -211,15 +226,18 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="session")
 def encode_video() -> Callable[..., bytes]:
-    """A function that returns frames, uint8 (T, H, W, 3), as a video file with 10 frames per second."""
+    """A function that returns frames, uint8 (T, H, W, 3), as a video file."""
 
-    def encode(frames: npt.NDArray[np.uint8], *, codec: str = "libx264", container: str = "mp4") -> bytes:
+    def encode(
+        frames: npt.NDArray[np.uint8], *, codec: str = "libx264", container: str = "mp4", fps: int = 10
+    ) -> bytes:
         import av
 
         file = io.BytesIO()
         with av.open(file, "w", format=container) as muxer:
-            stream = muxer.add_stream(codec, rate=10)
-            stream.height, stream.width, stream.pix_fmt = frames.shape[1], frames.shape[2], "yuv420p"
+            stream = muxer.add_stream(codec, rate=fps)
+            stream.height, stream.width = frames.shape[1:3]
+            stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
             for pixels in frames:
                 muxer.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
             muxer.mux(stream.encode())

@@ -1,6 +1,6 @@
-"""The fork server of a test worker: services that it starts have imported all they need.
+"""The fork server of the tests: services that it starts have imported all they need.
 
-python tests/fork_services.py FD     with the fork server's end of a socket
+python -m tests.fork_services FD     with a socket that receives requests
 """
 
 import gc
@@ -8,7 +8,6 @@ import importlib
 import os
 import socket
 import sys
-from pathlib import Path
 
 from freerein.fork_server import serve
 from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
@@ -26,7 +25,6 @@ _MODULES = (
 
 if __name__ == "__main__":
     gc.disable()
-    sys.path.insert(0, str(Path(__file__).parents[1]))
     requests = socket.socket(fileno=int(sys.argv[1]))
     os.set_inheritable(requests.fileno(), False)
     for module in _MODULES:

@@ -16,6 +16,9 @@ from experiments.workbench.results import Sample
 from freerein.types.segmentation import FLAGGED
 
 AUROC, FLAGGED_SHARE, CALIBRATION_ERROR = (f"in_distribution.{name}" for name in ("auroc", "flagged", "ece"))
+UNDER_05 = "in_distribution.under-0.05"
+"""Share of nominal answers under 0.05: answers were flagged there until too many were."""
+
 _BINS = 15
 _DECIMALS = 6
 
@@ -59,6 +62,7 @@ def samples(answers: Answers, *, nominal: Answers) -> dict[str, Sample]:
     return {
         AUROC: auroc(answers.score, answers.right, answers.trial),
         FLAGGED_SHARE: by_trial(nominal.score < FLAGGED, np.ones(len(nominal.score)), nominal.trial),
+        UNDER_05: by_trial(nominal.score < 0.05, np.ones(len(nominal.score)), nominal.trial),
         CALIBRATION_ERROR: calibration_error(answers.confidence[kept], answers.right[kept], answers.trial[kept]),
     }
 

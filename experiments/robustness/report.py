@@ -108,6 +108,7 @@ def table(results: Sequence[ArmResult]) -> Table:
             _absent_section(results),
             _wordings_section(results),
             _visited_section(results),
+            _trainings_section(results),
             _speed_section(results),
         ),
         claims=tuple(each.claim for each in made),
@@ -227,6 +228,22 @@ def _visited_section(results: Sequence[ArmResult]) -> Section:
         "precision if that share were 40 %",
     )
     return Section(header, tuple(rows), "Reward on states that PPO's policies visit")
+
+
+def _trainings_section(results: Sequence[ArmResult]) -> Section:
+    """Every training by PPO: what the worst one is worth is no mean."""
+    figures = (policies.RETURN_ALL, policies.RETURN_WRONG_ORDER)
+    rows = [
+        (each.world, str(each.seed), *(_share(each, name) for name in figures))
+        for each in sorted(results, key=lambda each: (each.world, each.seed))
+        if each.method == policies.PPO
+    ]
+    header = ("task", "seed", "all starts, % of the expert", "starts in the wrong order, %")
+    return Section(header, tuple(rows), "PPO, every training")
+
+
+def _share(result: ArmResult, name: str) -> str:
+    return f"{100 * result.samples[name].mean:.1f}" if name in result.samples else ""
 
 
 def _speed_section(results: Sequence[ArmResult]) -> Section:

@@ -99,6 +99,12 @@ def _confidence(prefix: str, model: str, worlds: tuple[str, ...]) -> tuple[Targe
     return (
         Target(f"{name}auroc", f"{text}AUROC, right against wrong", worlds, (confidence.AUROC,), least=0.9),
         Target(f"{name}flagged", f"{text}nominal answers flagged", worlds, (confidence.FLAGGED_SHARE,), most=0.05),
+        Target(
+            f"{name}flagged_05",
+            f"{text}nominal answers under 0.05, the first threshold",
+            worlds,
+            (confidence.UNDER_05,),
+        ),
         Target(f"{name}ece", f"{text}ECE of what is not flagged", worlds, (confidence.CALIBRATION_ERROR,), most=0.05),
     )
 
@@ -214,9 +220,7 @@ TARGETS = (
         low_above=0,
         apart=tuple((policies.word_blind_return(task), policies.told_other_return(task)) for task in policies.SIDES),
     ),
-    _told(
-        "language_blind", "the word-blind policy's return in a task", *map(policies.word_blind_return, policies.SIDES)
-    ),
+    _told("language_blind", "the word-blind policy's return", *map(policies.word_blind_return, policies.SIDES)),
     _told("language_misled", "ours, told the other task", *map(policies.told_other_return, policies.SIDES)),
     _told(
         "language_wordings",

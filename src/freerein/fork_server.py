@@ -93,7 +93,7 @@ class ForkServer:
     """A fork server, as the process that asks it sees it.
 
     Args:
-        requests: A socket of type `SOCK_SEQPACKET`; `serve` runs at its other end.
+        requests: A socket that keeps messages apart, and passes descriptors; `serve` runs at its other end.
     """
 
     def __init__(self, requests: socket.socket) -> None:
@@ -166,7 +166,7 @@ class _Forked:
 
 
 def serve(requests: socket.socket, *late_imports: str) -> NoReturn:
-    """Is the fork server, until the other end of its socket closes; `late_imports` as of `ForkServer.fork`.
+    """Is the fork server, until a message without descriptors, as a closed socket gives; see `ForkServer.fork`.
 
     Raises:
         SystemExit: In a child process, when its module ends.

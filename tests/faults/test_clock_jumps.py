@@ -11,8 +11,8 @@ from typing import Any
 
 import httpx
 import numpy as np
-import psutil
 import pytest
+from tests.child_processes import children_running
 
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.errors import Overloaded
@@ -102,7 +102,7 @@ def has_room(client: Any, sessions: list[str]) -> bool:
 def test_calls_that_run_or_wait_are_answered_whatever_the_clock_says(
     sim: Any, wall_clock: WallClock, seconds: int, wait_until: Any
 ) -> None:
-    (worker,) = psutil.Process(sim.process.pid).children()
+    (worker,) = children_running("freerein_sim.workers", sim.process.pid)
     with SyncClient(SimClient(Channel(sim.address))) as client, ThreadPoolExecutor(3) as threads:
         session = client.create_session(CreateSessionRequest("grid", seed=1)).session
         worker.suspend()

@@ -17,6 +17,7 @@ import httpx
 import numpy as np
 import psutil
 import pytest
+from tests.child_processes import children_running
 
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.errors import InvalidInput, Overloaded, SessionNotFound, StepOutOfOrder, WorkerLost
@@ -77,7 +78,7 @@ def test_a_killed_worker_takes_its_own_sessions_and_no_other(sim: Any, service: 
     sessions = [sim.create_session(CreateSessionRequest("grid", seed=i)).session for i in range(2)]
     for each in sessions:
         sim.reset(ResetRequest(each))
-    os.kill(psutil.Process(service.process.pid).children()[0].pid, signal.SIGSEGV)
+    os.kill(children_running("freerein_sim.workers", service.process.pid)[0].pid, signal.SIGSEGV)
     outcomes = [_outcome(lambda each=each: sim.step(StepRequest(each, 1, RIGHT))) for each in sessions]
     assert sorted(outcomes) == ["StepResponse", "WorkerLost"]
     again = sim.create_session(CreateSessionRequest("grid", seed=0)).session
@@ -122,7 +123,7 @@ async def test_calls_that_are_cancelled_while_they_wait_cost_nothing(service: An
         session = (await client.create_session(CreateSessionRequest("blocks", num_envs=64, seed=1))).session
         await client.reset(ResetRequest(session))
         render = RenderRequest(session, ("front",))
-        workers = psutil.Process(service.process.pid).children()
+        workers = children_running("freerein_sim.workers", service.process.pid)
         ratios = []
         while len(ratios) < 10 and min(ratios, default=5) >= 5:  # a busy machine only adds to them
             begun = time.perf_counter()
@@ -165,7 +166,7 @@ def test_over_its_quota_the_service_refuses_and_a_closed_session_makes_room(sim:
 
 @pytest.mark.fault("G3")
 def test_sessions_that_were_closed_leave_nothing_behind(sim: Any, service: Any, fuzz: bool) -> None:
-    processes = [psutil.Process(service.process.pid), *psutil.Process(service.process.pid).children()]
+    processes = [psutil.Process(service.process.pid), *children_running("freerein_sim.workers", service.process.pid)]
 
     def cycle(count: int) -> list[int]:
         """Opens and closes sessions; returns the memory of each process, in bytes."""
@@ -180,7 +181,7 @@ def test_sessions_that_were_closed_leave_nothing_behind(sim: Any, service: Any, 
     after = cycle(10_000 if fuzz else 200)
     assert [process.num_fds() for process in processes] == files
     assert all(process.num_threads() <= then + POOL for process, then in zip(processes, threads, strict=True))
-    assert psutil.Process(service.process.pid).children() == processes[1:]
+    assert children_running("freerein_sim.workers", service.process.pid) == processes[1:]
     assert all(now < 1.05 * then for now, then in zip(after, before, strict=True)), (before, after)
 
 
@@ -197,7 +198,7 @@ def test_a_restored_snapshot_goes_on_to_the_same_bits_and_a_tampered_one_is_refu
 
 @pytest.mark.fault("F1")
 def test_a_forged_snapshot_is_refused_and_harms_no_session(sim: Any, service: Any, session: str) -> None:
-    workers = psutil.Process(service.process.pid).children()
+    workers = children_running("freerein_sim.workers", service.process.pid)
     others = [sim.create_session(CreateSessionRequest("grid", seed=i)).session for i in range(2)]  # on both workers
     for each in others:
         sim.reset(ResetRequest(each))
@@ -212,7 +213,7 @@ def test_a_forged_snapshot_is_refused_and_harms_no_session(sim: Any, service: An
         assert refused.value.field == "snapshot"
     for each in (session, *others):
         assert sim.step(StepRequest(each, 1, RIGHT)).step_id == 1
-    assert psutil.Process(service.process.pid).children() == workers
+    assert children_running("freerein_sim.workers", service.process.pid) == workers
     for each in others:
         sim.close_session(CloseSessionRequest(each))
 

@@ -7,17 +7,18 @@ from typing import Any
 
 import psutil
 import pytest
+from tests.child_processes import children_running
 
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("F8")]
 
 
 DIES = """
-import os, pathlib, sys
+import os, pathlib
 
-if "freerein_sim.workers" in sys.orig_argv:
-    pathlib.Path(os.environ["STARTS"], str(os.getpid())).touch()
-    os.kill(os.getpid(), 9)
+pathlib.Path(os.environ["STARTS"], str(os.getpid())).touch()
+os.kill(os.getpid(), 9)
 """
+"""A world that kills the worker which imports it."""
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def kill_new_workers(wait_until: Any) -> Callable[..., set[int]]:
 
         def is_enough() -> bool:
             with suppress(psutil.NoSuchProcess):
-                for child in psutil.Process(service.process.pid).children():
+                for child in children_running("freerein_sim.workers", service.process.pid):
                     child.kill()
                     killed.add(child.pid)
             return until(killed)
@@ -53,7 +54,10 @@ def test_a_worker_killed_while_the_service_starts_is_started_again(
 def test_a_service_whose_workers_keep_dying_ends_as_one_to_be_restarted(
     start_service: Callable[..., Any], tmp_path: Path
 ) -> None:
-    (tmp_path / "sitecustomize.py").write_text(DIES)
+    (tmp_path / "dies.py").write_text(DIES)
+    (tmp_path / "dies-1.dist-info").mkdir()
+    (tmp_path / "dies-1.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: dies\nVersion: 1\n")
+    (tmp_path / "dies-1.dist-info" / "entry_points.txt").write_text("[freerein.worlds]\ndies = dies:TASKS\n")
     starts = tmp_path / "starts"
     starts.mkdir()
     service = start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", PYTHONPATH=str(tmp_path), STARTS=str(starts))

@@ -1,6 +1,9 @@
 """The sim service as a process: `python -m freerein_sim`."""
 
+from functools import partial
+
 from freerein.api.sim.v1 import sim_pb2
+from freerein.fork_server import ForkServer, StartChild, spawn
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
@@ -15,10 +18,12 @@ from freerein_sim.worlds.opengl import check_mujoco_gl
 NAME = "sim"
 
 
-def build(settings: SimSettings, limits: Limits, _metrics: Metrics, health: Health) -> Service:
+def build(
+    settings: SimSettings, limits: Limits, _metrics: Metrics, health: Health, *, start_child: StartChild = spawn
+) -> Service:
     """Returns the service; a MUJOCO_GL that cannot be used ends the process here, not each worker later."""
     check_mujoco_gl()
-    pool = WorkerPool(workers=settings.sim_workers, demonstrators=settings.sim_workers)
+    pool = WorkerPool(start_child, workers=settings.sim_workers, demonstrators=settings.sim_workers)
     core = SimCore(pool, max_sessions=settings.sim_sessions, max_envs=settings.sim_envs)
     step_stream = StepStream(core, health, limits.drain_s)
     return Service(
@@ -31,4 +36,5 @@ def build(settings: SimSettings, limits: Limits, _metrics: Metrics, health: Heal
 
 
 if __name__ == "__main__":
-    run(NAME, SimSettings, build)
+    fork_server = ForkServer.fork("freerein_sim.workers.handler")
+    run(NAME, SimSettings, partial(build, start_child=fork_server.start))

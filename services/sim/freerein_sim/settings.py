@@ -14,7 +14,7 @@ class SimSettings(ServiceSettings):
     Attributes:
         sim_workers: Worker processes; default, one per core.
         sim_sessions: Greatest number of open sessions.
-        sim_envs: Greatest number of environments of all open sessions; each takes 1 to 10 MB of memory.
+        sim_envs: Greatest number of environments of all open sessions.
     """
 
     sim_workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=256)

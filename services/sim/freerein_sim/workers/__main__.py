@@ -1,10 +1,12 @@
-"""A worker process: `python -m freerein_sim.workers <file descriptor of a socket>`. The service starts it."""
+"""A worker process, `python -m freerein_sim.workers`, whose standard input is a socket. The service starts it."""
 
 import logging
+import os
 import signal
 import socket
 import sys
 
+from freerein import program
 from freerein.serving import logs
 from freerein_sim.workers.handler import RequestHandler, serve
 from freerein_sim.worlds.tasks import tasks
@@ -17,7 +19,8 @@ def main() -> None:
     logs.configure("sim")
     logging.getLogger().setLevel(logging.WARNING)
     handler = RequestHandler(tasks())
-    with socket.socket(fileno=int(sys.argv[1])) as connection:
+    program.loaded()
+    with socket.socket(fileno=os.dup(sys.stdin.fileno())) as connection:
         serve(connection, handler)
     handler.close()
 

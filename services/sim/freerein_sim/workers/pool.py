@@ -4,6 +4,7 @@ import asyncio
 import logging
 
 from freerein.errors import WorkerLost
+from freerein.fork_server import StartChild, spawn
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksRequest, ListTasksResponse, Task
 from freerein_sim.workers.worker import Worker, worker_lost
 
@@ -16,6 +17,7 @@ class WorkerPool:
     """Worker processes for sessions, and others for demonstrations, so that no session waits for one.
 
     Args:
+        start_child: Starts their processes.
         workers: Number of processes that hold sessions.
         demonstrators: Number of processes that record demonstrations; started on demand.
         stuck_s: Time without a reply after which a worker that was called is killed.
@@ -25,11 +27,13 @@ class WorkerPool:
         demonstrators: Number of demonstrations recorded in parallel.
     """
 
-    def __init__(self, *, workers: int = 2, demonstrators: int = 1, stuck_s: float = 120.0) -> None:
+    def __init__(
+        self, start_child: StartChild = spawn, *, workers: int = 2, demonstrators: int = 1, stuck_s: float = 120.0
+    ) -> None:
         self.tasks: dict[str, Task] = {}
         self.demonstrators = demonstrators
-        self._slots = [_WorkerSlot(stuck_s) for _ in range(workers)]
-        self._demonstrator_slots = [_WorkerSlot(stuck_s) for _ in range(demonstrators)]
+        self._slots = [_WorkerSlot(start_child, stuck_s) for _ in range(workers)]
+        self._demonstrator_slots = [_WorkerSlot(start_child, stuck_s) for _ in range(demonstrators)]
         self._idle: asyncio.LifoQueue[_WorkerSlot] = asyncio.LifoQueue()
         for slot in self._demonstrator_slots:
             self._idle.put_nowait(slot)
@@ -77,8 +81,9 @@ class WorkerPool:
 class _WorkerSlot:
     """Holds one worker, and starts the next when it dies."""
 
-    def __init__(self, stuck_s: float) -> None:
+    def __init__(self, start_child: StartChild, stuck_s: float) -> None:
         self.demonstrating: asyncio.Task[DemonstrateResponse] | None = None  # a task that nothing refers to may vanish
+        self._start_child = start_child
         self._stuck_s = stuck_s
         self._filling: asyncio.Task[Worker] | None = None
         self._refilling: asyncio.Task[None] | None = None
@@ -128,11 +133,11 @@ class _WorkerSlot:
         """Starts a worker, again if it dies: what kills it from outside may have passed."""
         for pause_s in _RESTART_AFTER_S:
             try:
-                return await Worker.start(stuck_s=self._stuck_s)
+                return await Worker.start(self._start_child, stuck_s=self._stuck_s)
             except WorkerLost:
                 await asyncio.sleep(pause_s)
         try:
-            return await Worker.start(stuck_s=self._stuck_s)
+            return await Worker.start(self._start_child, stuck_s=self._stuck_s)
         except WorkerLost:
             raise WorkerLost(
                 f"A worker process died {len(_RESTART_AFTER_S) + 1} times while starting.",

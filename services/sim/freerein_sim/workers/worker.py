@@ -7,12 +7,13 @@ import asyncio
 import logging
 import math
 import os
+import signal
 import socket
 import subprocess
-import sys
 from typing import TypeVar, cast
 
 from freerein.errors import WorkerLost
+from freerein.fork_server import ChildProcess, Program, StartChild
 from freerein.types.common import Error, error_from
 from freerein.types.sim import ListTasksRequest, ListTasksResponse
 from freerein_sim.workers import protocol
@@ -33,7 +34,7 @@ class Worker:
         load: Number of environments placed on it, maintained by the caller.
     """
 
-    def __init__(self, process: "subprocess.Popen[bytes]", connection: "Connection", *, stuck_s: float) -> None:
+    def __init__(self, process: ChildProcess, connection: "Connection", *, stuck_s: float) -> None:
         self.load = 0
         self._process = process
         self._connection = connection
@@ -41,8 +42,8 @@ class Worker:
         self._reaping = asyncio.create_task(self._reap())
 
     @classmethod
-    async def start(cls, *, stuck_s: float) -> "Worker":
-        """Starts a child, and returns when it answers; a call that is cancelled ends it.
+    async def start(cls, start_child: StartChild, *, stuck_s: float) -> "Worker":
+        """Starts a child by `start_child`, and returns when it answers; a call that is cancelled ends it.
 
         Raises:
             WorkerLost: It died before.
@@ -50,7 +51,8 @@ class Worker:
         ours, theirs = socket.socketpair()
         with theirs:
             _, connection = await asyncio.get_running_loop().create_connection(Connection, sock=ours)
-            process = _spawn(theirs)
+            environ = _ONE_THREAD | os.environ
+            process = start_child(Program("freerein_sim.workers", (), environ, theirs.fileno(), 1, 2))
         worker = cls(process, connection, stuck_s=stuck_s)
         try:
             await worker.call(ListTasksRequest(), ListTasksResponse, timeout_s=_START_S)
@@ -83,7 +85,7 @@ class Worker:
             message = await self._connection.ask(request, silence_s=timeout_s or self._stuck_s)
         except TimeoutError:
             _LOG.error("worker %d hangs and is killed", self._process.pid)
-            self._process.kill()
+            self._process.send_signal(signal.SIGKILL)
             raise worker_lost() from None
         return protocol.decode(message, response)
 
@@ -101,7 +103,7 @@ class Worker:
         try:
             status = await asyncio.to_thread(self._process.wait, _EXIT_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
+            self._process.send_signal(signal.SIGKILL)
             status = await asyncio.to_thread(self._process.wait)
         _LOG.log(logging.ERROR if status else logging.INFO, "worker %d ended with %d", self._process.pid, status)
 
@@ -197,13 +199,4 @@ def worker_lost() -> WorkerLost:
     return WorkerLost(
         "The worker process is gone, and with it the sessions that it held.",
         hint="Create the session anew and restore its last snapshot; repeat a call that needs none.",
-    )
-
-
-def _spawn(connection: socket.socket) -> "subprocess.Popen[bytes]":
-    return subprocess.Popen(
-        [sys.executable, "-m", "freerein_sim.workers", str(connection.fileno())],
-        pass_fds=[connection.fileno()],
-        stdin=subprocess.DEVNULL,
-        env=_ONE_THREAD | os.environ,
     )
