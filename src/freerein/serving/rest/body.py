@@ -270,10 +270,9 @@ def _invalid(error: ValidationError, message: Descriptor) -> InvalidInput:
 def _message_at(location: Iterable[int | str], message: Descriptor) -> Descriptor:
     """Returns the message at a place in a request; in a map, the message of its values."""
     for part in location:
-        if message.GetOptions().map_entry:
-            message = message.fields_by_name["value"].message_type
-        elif isinstance(part, str) and part in message.fields_by_name:
-            message = message.fields_by_name[part].message_type
+        name = "value" if message.GetOptions().map_entry else part
+        inner = message.fields_by_name[name].message_type if name in message.fields_by_name else None
+        message = inner or message
     return message
 
 
