@@ -1,7 +1,7 @@
 """Decoding and encoding of images: PNG, JPEG, WebP, raw RGB and raw gray.
 
 Untrusted bytes are checked before a decoder runs: an allowed format, bounded chunks and scans, a size below the limits,
-a single frame.
+a single frame of a PNG or WebP, which may be animated.
 Error messages are written here; the decoder's messages are never passed on.
 """
 
@@ -15,6 +15,7 @@ import numpy.typing as npt
 import PIL.ExifTags
 import PIL.Image
 import PIL.ImageOps
+import PIL.JpegImagePlugin
 
 from freerein.errors import InvalidInput, ServiceError, UnsupportedMedia
 from freerein.image_structure import checked_structure
@@ -51,7 +52,7 @@ def decode(image: Image, *, field: str = "images", size: tuple[int, int] | None 
     """Returns the pixels of an image.
 
     Colour (palette, CMYK, alpha) becomes RGB without alpha, 8-bit gray stays gray, and the EXIF orientation of a JPEG
-    is applied.
+    is applied. Of a JPEG that holds several pictures, as phones and cameras write them, it is the first.
 
     Args:
         image: The image.
@@ -205,7 +206,7 @@ def _open(image: Image, field: str) -> Iterator[PIL.Image.Image]:
         )
     try:
         data = checked_structure(image.data, image.encoding, field=field)
-        with PIL.Image.open(io.BytesIO(data), formats=[_PILLOW_FORMATS[image.encoding]]) as opened:
+        with _lazily_opened(data, image.encoding) as opened:
             _check_pixels(opened.height, opened.width, field)
             _check_kind(opened, image, field)
             yield opened
@@ -215,6 +216,12 @@ def _open(image: Image, field: str) -> Iterator[PIL.Image.Image]:
         raise _too_many_pixels(field) from None
     except Exception:  # decoders raise any type, and their messages may hold memory addresses
         raise _corrupt(field) from None
+
+
+def _lazily_opened(data: bytes, encoding: Encoding) -> PIL.Image.Image:
+    if encoding == "jpeg":  # not by `PIL.Image.open`: of phones and cameras it would also open the second picture
+        return PIL.JpegImagePlugin.JpegImageFile(io.BytesIO(data))
+    return PIL.Image.open(io.BytesIO(data), formats=[_PILLOW_FORMATS[encoding]])
 
 
 def _check_kind(opened: PIL.Image.Image, image: Image, field: str) -> None:

@@ -181,6 +181,18 @@ def test_an_animation_is_refused(encoding: Encoding) -> None:
         images.decode(file(encoding, data))
 
 
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_a_jpeg_of_a_phone_or_a_camera_is_its_first_picture(orientation: int) -> None:
+    exif = PIL.Image.Exif()
+    exif[0x0112] = orientation
+    pictures = [PIL.Image.new("RGB", size, colour) for size, colour in (((16, 8), "red"), ((8, 4), "blue"))]
+    data = save(pictures[0], "MPO", save_all=True, append_images=pictures[1:], exif=exif)
+    pixels = images.decode(file("jpeg", data))
+    assert pixels.shape == ((8, 16, 3) if orientation == 1 else (16, 8, 3))
+    assert images.pixel_count(file("jpeg", data)) == 16 * 8
+    assert np.abs(pixels.astype(int) - (255, 0, 0)).max() <= 3
+
+
 @pytest.mark.parametrize(("width", "height"), [(4_001, 4_000), (13_000, 13_000), (16_384, 977)])
 def test_too_many_pixels_are_refused_by_the_header_alone(width: int, height: int) -> None:
     bomb = file("png", png(width, height, depth=8, colour=0, raw=b"\0"))

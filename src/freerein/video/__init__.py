@@ -1,4 +1,4 @@
-"""Decoding of mp4 video with H.264 or AV1, frame by frame in bounded memory (extra `video`).
+"""Decoding of mp4 and mov video, frame by frame in bounded memory (extra `video`).
 
     open_video --spawns--> child process (PyAV) --pipe--> VideoFrame, VideoFrame, ...
 
@@ -11,3 +11,4 @@ from freerein.video.reader import VideoBounds as VideoBounds
 from freerein.video.reader import VideoFrame as VideoFrame
 from freerein.video.reader import VideoInfo as VideoInfo
 from freerein.video.reader import open_video as open_video
+from freerein.video.reader import start_video as start_video

@@ -9,6 +9,7 @@ import os
 import resource
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, BinaryIO
 
@@ -17,6 +18,8 @@ import av
 import av.audio.codeccontext
 import av.audio.stream
 import av.logging
+import av.sidedata.sidedata
+import av.stream
 import av.subtitles.codeccontext
 import av.subtitles.stream
 import numpy as np
@@ -27,7 +30,6 @@ from av.video.reformatter import VideoReformatter
 from freerein.video.records import CODECS, RECORD, TIME, Options
 
 _LUMA = np.array([299, 587, 114], np.uint32)  # ITU-R BT.601, in thousandths
-_QUARTER_DEG = 90
 _LEAST_BYTES = 2**20
 """Memory without which nothing is decoded: with none at all, PyAV crashes in Python 3.12."""
 
@@ -77,24 +79,27 @@ def _records(file: BinaryIO, options: Options) -> Iterator[tuple[bytes, ...]]:
         stream.codec_context.thread_count = 1
         stream.codec_context.options = limits
         for frame in container.decode(stream):
+            turn = _Turn.of(frame)
             if size is None:
-                size = (frame.height, frame.width)
-                yield b"I", json.dumps(_info(stream, frame)).encode()
+                size = turn.shown(frame.height, frame.width)
+                yield b"I", json.dumps(_info(stream, size)).encode()
             count += 1
-            _check(frame, size, count, options)
-            yield b"F", TIME.pack(frame.time or 0.0), _pixels(frame, reformatter, options).tobytes()
+            _check(frame, turn.shown(frame.height, frame.width) == size, count, options)
+            yield b"F", TIME.pack(frame.time or 0.0), _pixels(frame, turn, reformatter, options).tobytes()
     if not count:
         raise _Undecodable("corrupt")
 
 
 def _video_stream(container: Any, options: Options) -> Any:
-    """Returns the first video stream."""
-    if not container.streams.video:
+    """Returns the first video stream that is no cover picture."""
+    cover = av.stream.Disposition.attached_pic
+    stream = next((each for each in container.streams.video if not each.disposition & cover), None)
+    if stream is None:
         raise _Undecodable("stream")
-    stream = container.streams.video[0]
     decoder = stream.codec_context
-    if decoder is None or decoder.codec.canonical_name not in CODECS:
-        raise _Undecodable("codec")
+    codec = decoder.codec.canonical_name if decoder is not None else ""
+    if codec not in CODECS:
+        raise _Undecodable(f"codec {codec}")
     if stream.frames > options.max_frames:
         raise _Undecodable("frames")
     if decoder.width * decoder.height > options.max_pixels:
@@ -102,10 +107,10 @@ def _video_stream(container: Any, options: Options) -> Any:
     return stream
 
 
-def _check(frame: av.VideoFrame, size: tuple[int, int], count: int, options: Options) -> None:
+def _check(frame: av.VideoFrame, has_size: bool, count: int, options: Options) -> None:
     if frame.is_corrupt:
         raise _Undecodable("corrupt")
-    if (frame.height, frame.width) != size:
+    if not has_size:
         raise _Undecodable("size")
     if count > options.max_frames:
         raise _Undecodable("frames")
@@ -113,30 +118,61 @@ def _check(frame: av.VideoFrame, size: tuple[int, int], count: int, options: Opt
         raise _Undecodable("pixels")
 
 
-def _info(stream: Any, frame: av.VideoFrame) -> dict[str, Any]:
-    turned = _turns(frame) % 2
+@dataclass(frozen=True)
+class _Turn:
+    """How a frame is turned to be shown, by the file's display matrix.
+
+    Attributes:
+        is_transposed: Whether rows are shown as columns.
+        is_upside_down: Whether the order of the rows, those that are shown, is reversed.
+        is_mirrored: Whether that of the columns is.
+    """
+
+    is_transposed: bool = False
+    is_upside_down: bool = False
+    is_mirrored: bool = False
+
+    @classmethod
+    def of(cls, frame: av.VideoFrame) -> "_Turn":
+        """Returns the turn of a frame; an angle between quarters of a turn is rounded to the nearest."""
+        data = frame.side_data.get("DISPLAYMATRIX")
+        if data is None:
+            return cls()
+        # A column x and row y of the file are shown in the column a x + c y and the row b x + d y.
+        a, b, _, c, d = map(int, np.frombuffer(data, np.int32)[:5])
+        if abs(b) + abs(c) > abs(a) + abs(d):
+            return cls(True, b < 0, c < 0)
+        return cls(False, d < 0, a < 0)
+
+    def shown(self, height: int, width: int) -> tuple[int, int]:
+        """Returns the height and width as shown of those in the file, or the reverse."""
+        return (width, height) if self.is_transposed else (height, width)
+
+    def applied(self, pixels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Returns pixels (H, W, C) as they are shown."""
+        upright = pixels.swapaxes(0, 1) if self.is_transposed else pixels
+        return upright[:: -1 if self.is_upside_down else 1, :: -1 if self.is_mirrored else 1]
+
+
+def _info(stream: Any, size: tuple[int, int]) -> dict[str, Any]:
     return {
         "codec": stream.codec_context.codec.canonical_name,
-        "height": frame.width if turned else frame.height,
-        "width": frame.height if turned else frame.width,
+        "height": size[0],
+        "width": size[1],
         "fps": float(stream.average_rate or Fraction(0)),
         "frame_count": stream.frames,
     }
 
 
-def _turns(frame: av.VideoFrame) -> int:
-    """Returns by how many quarters of a turn, counterclockwise, a frame is rotated to be shown."""
-    return round(frame.rotation / _QUARTER_DEG)
-
-
-def _pixels(frame: av.VideoFrame, reformatter: VideoReformatter, options: Options) -> npt.NDArray[np.uint8]:
-    """Returns a frame upright, resized and with the channels asked for, uint8 (H, W, C)."""
-    turns = _turns(frame)
-    height, width = (options.width, options.height) if turns % 2 else (options.height, options.width)
+def _pixels(
+    frame: av.VideoFrame, turn: _Turn, reformatter: VideoReformatter, options: Options
+) -> npt.NDArray[np.uint8]:
+    """Returns a frame as it is shown, resized and with the channels asked for, uint8 (H, W, C)."""
+    height, width = turn.shown(options.height, options.width)
     resized = reformatter.reformat(
         frame, width or frame.width, height or frame.height, "rgb24", interpolation="AREA", threads=1
     )
-    rgb: npt.NDArray[np.uint8] = np.rot90(resized.to_ndarray(), turns)  # (H, W, 3)
+    rgb = turn.applied(resized.to_ndarray())  # (H, W, 3)
     if options.channels == 3:
         return rgb
     return ((rgb @ _LUMA + 500) // 1000).astype(np.uint8)[:, :, None]  # (H, W, 1)

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import ServiceError, Unimplemented
+from freerein.regular_files import regular_descriptor
 from freerein.video.boxes import check_boxes
 from freerein.video.records import CODECS, RECORD, TIME, Options
 from freerein.video.refusals import refusal
@@ -41,6 +42,7 @@ class VideoBounds:
         pixels: Most pixels of a frame.
         memory_bytes: Most address space of the child process; a quarter of a gigabyte of it is code.
         cpu_s: Most CPU seconds of the child process.
+        first_frame_s: Longest wait for the first frame, in seconds.
         silence_s: Longest wait for the next frame, in seconds.
     """
 
@@ -48,6 +50,7 @@ class VideoBounds:
     pixels: int = MAX_PIXELS
     memory_bytes: int = 2**30
     cpu_s: int = 120
+    first_frame_s: float = 20.0
     silence_s: float = 20.0
 
 
@@ -56,7 +59,7 @@ class VideoInfo:
     """Describes a video file.
 
     Attributes:
-        codec: `h264` or `av1`.
+        codec: One of `CODECS`.
         height: Height of its frames in pixels, upright.
         width: Width of its frames in pixels, upright.
         fps: Mean frames per second; 0 when unknown.
@@ -87,20 +90,25 @@ class Video:
     """An open video: a context manager, and an iterator over its frames; the decoder waits while none is taken.
 
     Attributes:
-        info: Describes the file.
+        info: Describes the file; there once the first frame is.
     """
 
-    def __init__(self, file: int, options: Options, *, silence_s: float, field: str) -> None:
-        self._process, self._pipe = _spawn(file, options)
+    info: VideoInfo
+    _shape: tuple[int, int, int]
+
+    def __init__(self, file: int, options: Options, bounds: VideoBounds, *, field: str) -> None:
+        self._process, self._pipe, self._held_open = _spawn(file, options)
         self._options = options
-        self._silence_s = silence_s
+        self._bounds = bounds
+        self._wait_s = bounds.first_frame_s
         self._field = field
-        try:
-            self.info = self._read_info()
-        except BaseException:
-            self.close()
-            raise
-        self._shape = (options.height or self.info.height, options.width or self.info.width, options.channels)
+
+    def read_info(self) -> None:
+        """Waits for the first frame; raises as `open_video`."""
+        self.info = self._read_info()
+        height, width = self._options.height or self.info.height, self._options.width or self.info.width
+        self._shape = (height, width, self._options.channels)
+        self._wait_s = self._bounds.silence_s
 
     def __iter__(self) -> Iterator[VideoFrame]:
         """Yields the frames; raises as `open_video`."""
@@ -120,6 +128,7 @@ class Video:
         self.kill()
         self._process.wait()
         self._pipe.close()
+        self._held_open.close()
 
     def __enter__(self) -> Self:
         return self
@@ -161,7 +170,7 @@ class Video:
         """Returns that many bytes of the child; whatever keeps it from sending them is an error of the file."""
         received, poll = bytearray(), select.poll()
         poll.register(self._pipe, select.POLLIN)
-        give_up_at = time.monotonic() + self._silence_s
+        give_up_at = time.monotonic() + self._wait_s
         while len(received) < size:
             left_s = give_up_at - time.monotonic()
             if left_s <= 0 or not poll.poll(left_s * 1e3):
@@ -174,7 +183,7 @@ class Video:
         return bytes(received)
 
     def _error(self, reason: str) -> ServiceError:
-        return refusal(reason, self._options, silence_s=self._silence_s, field=self._field)
+        return refusal(reason, self._options, silence_s=self._wait_s, field=self._field)
 
 
 def open_video(
@@ -185,66 +194,96 @@ def open_video(
     bounds: VideoBounds = VideoBounds(),
     field: str = "video",
 ) -> Video:
-    """Returns a video, whose frames are decoded one by one.
+    """Returns a video, whose frames are decoded one by one, once it has the first.
 
     Args:
-        source: An mp4 file, or its contents.
+        source: An mp4 or mov file, or its contents.
         channels: Of the frames: 3 for RGB, 1 for gray (the luma of ITU-R BT.601).
         size: Height and width to resize frames to, whatever their aspect ratio; None to keep the file's.
         bounds: Bounds of the video.
         field: Name of the video in the request, for errors.
 
     Raises:
-        UnsupportedMedia: It is not mp4, or neither H.264 nor AV1.
-        InvalidInput: Corrupt, truncated, empty, or beyond its bounds. Iteration raises it, too.
+        UnsupportedMedia: It is neither mp4 nor mov, or of a codec that is not among `CODECS`.
+        InvalidInput: Corrupt, truncated, empty, no regular file, or beyond its bounds. Iteration raises it, too.
         Unimplemented: No decoder is installed.
     """
+    video = start_video(source, channels=channels, size=size, bounds=bounds, field=field)
+    try:
+        video.read_info()
+    except BaseException:
+        video.close()
+        raise
+    return video
+
+
+def start_video(
+    source: bytes | Path,
+    *,
+    channels: int = 3,
+    size: tuple[int, int] | None = None,
+    bounds: VideoBounds = VideoBounds(),
+    field: str = "video",
+) -> Video:
+    """Returns a video whose decoder has begun, as `open_video`: its `read_info` is to be called before all else."""
     if importlib.util.find_spec("av") is None:
         raise Unimplemented(
             "Reading video needs PyAV; it is not installed here.",
             field=field,
             hint="Install it where the video is read: pip install -c constraints.txt 'freerein[video]'.",
         )
-    file = _opened(source)
+    file = _opened(source, field)
     try:
         check_boxes(file, field=field)
         height, width = size or (0, 0)
         options = Options(channels, height, width, bounds.frames, bounds.pixels, bounds.memory_bytes, bounds.cpu_s)
-        return Video(file, options, silence_s=bounds.silence_s, field=field)
+        return Video(file, options, bounds, field=field)
     finally:
         os.close(file)
 
 
-def _opened(source: bytes | Path) -> int:
+def _opened(source: bytes | Path, field: str) -> int:
     """Returns the descriptor of a file, or of contents in memory."""
     if isinstance(source, Path):
-        return os.open(source, os.O_RDONLY)
+        return regular_descriptor(source, name=field)
     file = os.memfd_create("video")
     with FileIO(file, "wb", closefd=False) as writer:
         writer.write(source)
     return file
 
 
-def _spawn(file: int, options: Options) -> "tuple[subprocess.Popen[bytes], FileIO]":
-    """Starts the decoder, without the environment of this process, which may hold its token; returns its output, too.
+def _spawn(file: int, options: Options) -> "tuple[subprocess.Popen[bytes], FileIO, FileIO]":
+    """Starts the decoder, without the environment of this process, which may hold its token.
 
-    Its output is a pipe that its end closes.
+    Returns its output, too, a pipe that its end closes, and what this process must hold open: its end, or that of this
+    process, kills the decoder.
     """
-    readable, writable = os.pipe()
+    output, written = os.pipe()
+    watched, held_open = os.pipe()
     try:
-        fcntl.fcntl(readable, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+        fcntl.fcntl(output, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         process = subprocess.Popen(
             [sys.executable, "-I", "-m", "freerein.video.decoder", str(file), options.to_json()],
-            stdin=subprocess.DEVNULL,
-            stdout=writable,
+            stdin=watched,
+            stdout=written,
             stderr=subprocess.DEVNULL,
             pass_fds=(file,),
             env={"OPENBLAS_NUM_THREADS": "1"},
             cwd="/",
         )
+        _kill_when_closed(watched, process.pid)
     except BaseException:
-        os.close(readable)
+        os.close(output)
+        os.close(held_open)
         raise
     finally:
-        os.close(writable)
-    return process, FileIO(readable)
+        os.close(written)
+        os.close(watched)
+    return process, FileIO(output), FileIO(held_open, "wb")
+
+
+def _kill_when_closed(pipe: int, pid: int) -> None:
+    """Lets the kernel kill a process, whose standard input is the end of a pipe, once the other end is closed."""
+    fcntl.fcntl(pipe, fcntl.F_SETOWN, pid)
+    fcntl.fcntl(pipe, fcntl.F_SETSIG, signal.SIGKILL)  # in place of SIGIO
+    fcntl.fcntl(pipe, fcntl.F_SETFL, os.O_ASYNC)

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 
 RECORD = struct.Struct("<cI")
 TIME = struct.Struct("<d")
-CODECS = ("h264", "av1")
+CODECS = ("h264", "hevc", "av1", "vp9", "mpeg4", "mjpeg")
 
 
 @dataclass(frozen=True)
