@@ -13,7 +13,7 @@ from freerein_sim.worlds.bins.layout import FLOOR_M, GROCERIES, LEFT_BIN_HALF_M,
 from freerein_sim.worlds.bins.simulation import BinsWorld
 from freerein_sim.worlds.predicates import States
 
-(TASK,) = TASKS
+TASK = TASKS[0]
 COMPLETED = {each.name: each for each in TASK.predicates if each.name.startswith("completed/")}
 BY_NAME = {each.name: each for each in GROCERIES}
 OPEN_M = 0.079

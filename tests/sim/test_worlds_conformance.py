@@ -26,6 +26,9 @@ CHECKED = (
     "tabletop",
     "bins",
 )
+LONGER = ("dial.uneven", "bins.uneven")
+"""They differ from `dial` and `bins` in their demonstrations alone, which take long to simulate."""
+
 HIDES_ITS_RECIPE = (
     "grid-no-indicator",
     "blocks",
@@ -45,6 +48,12 @@ def test_our_worlds_conform(
         if condition.group == "light":
             keep_open(task, condition.name)
     check(task)
+
+
+@pytest.mark.parametrize("task", LONGER)
+@pytest.mark.parametrize("check", [interface.describes_itself, experts.has_an_expert_that_succeeds])
+def test_tasks_with_longer_demonstrations_conform(check: Callable[[TaskDefinition], None], task: str) -> None:
+    check(TASKS[task])
 
 
 def test_a_check_names_what_a_world_does_wrong() -> None:

@@ -5,13 +5,14 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+from freerein import metrics
 from freerein.errors import FailedPrecondition
 from freerein_sim.worlds.dial import RECIPES, SPEC, TASKS, ik, keypad, scene
 from freerein_sim.worlds.dial.predicates import completed
 from freerein_sim.worlds.episodes import record_episode
 from freerein_sim.worlds.world import World, expert_of
 
-TASK = TASKS[0]
+TASK, UNEVEN = TASKS
 STILL = np.zeros(SPEC.action.size, np.float32)
 JUDGES = {predicate.name: predicate for predicate in completed(SPEC)}
 
@@ -115,3 +116,21 @@ def test_labels_change_once_for_each_key_and_durations_differ() -> None:
 
     assert shown.success
     assert shown.labels[np.flatnonzero(np.diff(shown.labels, prepend=-1))].tolist() == [7, 3]
+
+
+def test_uneven_presses_are_some_many_times_as_long_as_others() -> None:
+    ratios = []
+    with closing(UNEVEN.make()) as world:
+        for seed in range(11):
+            rng = np.random.default_rng(seed)
+            recipe = RECIPES.draw(rng, SPEC.skills, fewest=5, most=5)
+            world.reset(rng, recipe=recipe)
+            shown = record_episode(
+                world, expert_of(world)(recipe, rng), cameras=(), max_steps=UNEVEN.spec.max_episode_steps
+            )
+            steps = np.diff([*metrics.run_starts(shown.labels), len(shown.labels)])
+            ratios.append(steps.max() / steps.min())
+
+            assert shown.success
+
+    assert np.median(ratios) > 4

@@ -5,8 +5,11 @@ imported when a world is made.
 """
 
 from collections.abc import Collection
+from dataclasses import replace
+from functools import partial
 
 from freerein.types.common import ActionSpec, Camera
+from freerein_sim.worlds.bins.durations import Durations, EvenDurations, UnevenDurations
 from freerein_sim.worlds.bins.layout import GROCERIES
 from freerein_sim.worlds.bins.predicates import BinPredicates
 from freerein_sim.worlds.conditions import LIGHT_CONDITIONS, light_scale
@@ -42,11 +45,20 @@ SPEC = WorldSpec(
 )
 
 
-def _make(conditions: Collection[str] = ()) -> World:
+def _make(spec: WorldSpec, durations: Durations, conditions: Collection[str] = ()) -> World:
     check_mujoco_gl()
     from freerein_sim.worlds.bins import simulation
 
-    return simulation.BinsWorld(SPEC, light=light_scale(conditions))
+    return simulation.BinsWorld(spec, durations, light=light_scale(conditions))
 
 
-TASKS = (TaskDefinition("bins", "bins", "", SPEC, _make, BinPredicates(SPEC).all(), LIGHT_CONDITIONS, version=VERSION),)
+def _task(name: str, spec: WorldSpec, durations: Durations) -> TaskDefinition:
+    make, predicates = partial(_make, spec, durations), BinPredicates(spec).all()
+    return TaskDefinition(name, "bins", "", spec, make, predicates, LIGHT_CONDITIONS, version=VERSION)
+
+
+TASKS = (
+    _task("bins", SPEC, EvenDurations()),
+    _task("bins.uneven", replace(SPEC, max_episode_steps=500), UnevenDurations()),
+)
+"""In `bins.uneven` some moves of a demonstration take many times as long as others; all else is as in `bins`."""

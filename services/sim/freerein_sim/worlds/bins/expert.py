@@ -1,7 +1,7 @@
 """The scripted demonstrator of the bins world: it stumbles until it holds a grocery, then places it in one go.
 
 It stands in for the dissertation's people at teleoperation, who "stumble a little bit until fully gripping the object"
-(section 2.4), so that a pick lasts two to three times as long as a place.
+(section 2.4), so that in `bins` a pick lasts two to three times as long as a place.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from freerein_sim.worlds.bins.durations import PLAIN_STEPS, Durations
 from freerein_sim.worlds.bins.layout import FLOOR_M, GROCERIES, LEFT_BIN_HALF_M, LEFT_BIN_M, WALL_TOP_M, Grocery, Place
+from freerein_sim.worlds.tempo import Tempo
 from freerein_sim.worlds.world import LabelledAction
 
 if TYPE_CHECKING:
@@ -29,10 +31,6 @@ _CLOSING_STEPS, _MAX_RELEASE_STEPS = 2, 4
 _PICK_PACE, _PLACE_PACE = (0.5, 0.9), (0.85, 1.0)
 _STILL_NOISE, _MOVING_NOISE = 0.01, 0.06
 
-_PLAIN_STEPS = 17
-"""Steps of a skill without stumbles."""
-
-_STUMBLING_STEPS, _MAX_STUMBLING_STEPS = 14.0, 40.0
 _HESITATION_STEPS, _MISS_STEPS = (2, 6), (1, 3)
 _SHORTEST_STRAY, _SHORTEST_MISS = 4, 9
 
@@ -40,11 +38,15 @@ _SHORTEST_STRAY, _SHORTEST_MISS = 4, 9
 class BinsExpert:
     """Moves one grocery after the other into its compartment, using the true state."""
 
-    def __init__(self, world: "BinsWorld", skills: tuple[int, ...], rng: np.random.Generator) -> None:
+    def __init__(
+        self, world: "BinsWorld", skills: tuple[int, ...], rng: np.random.Generator, durations: Durations
+    ) -> None:
         self._world = world
         self._skills = skills
         self._rng = rng
+        self._durations = durations
         self._steps = 0
+        self._speed = 1.0
         self._fingers = _OPEN
         self._demonstration = self._demonstrate()
 
@@ -58,14 +60,16 @@ class BinsExpert:
 
     def _demonstrate(self) -> Iterator[LabelledAction]:
         horizon, count = self._world.spec.max_episode_steps, len(self._skills)
-        stumbles = _draw_stumbles(count, horizon, self._rng)
+        tempos = self._durations.draw(self._rng, count, horizon)
         for number, skill in enumerate(self._skills):
-            spare = horizon - self._steps - (count - number) * _PLAIN_STEPS
-            for action in self._move(GROCERIES[skill], min(stumbles[number], spare)):
+            spare = horizon - self._steps - (count - number) * PLAIN_STEPS
+            for action in self._move(GROCERIES[skill], tempos[number], spare):
                 self._steps += 1
                 yield LabelledAction(action, skill)
 
-    def _move(self, grocery: Grocery, stumbling_steps: float) -> Iterator[npt.NDArray[np.float32]]:
+    def _move(self, grocery: Grocery, tempo: Tempo, spare_steps: int) -> Iterator[npt.NDArray[np.float32]]:
+        self._speed = tempo.speed
+        stumbling_steps = min(tempo.hesitation_steps, spare_steps)
         for _ in range(_MAX_TRIES):
             if self._world.is_placed(grocery):
                 return
@@ -97,16 +101,18 @@ class BinsExpert:
             if self._world.is_placed(grocery):
                 break
             yield from self._hold(1)
-        yield self._towards(np.add(self._world.set_point, (0, 0, _RETREAT_M)), pace)
+        above = np.add(self._world.set_point, (0, 0, _RETREAT_M))
+        for _ in range(round(1 / self._speed)):
+            yield self._towards(above, pace)
 
     def _stumble(self, grocery: Grocery, steps: float) -> Iterator[npt.NDArray[np.float32]]:
         """Hesitates, strays and closes the fingers on air, for about as many steps."""
         end = self._steps + steps
         while (left := round(end - self._steps)) > 0:
             kind = self._rng.integers(3)
-            if kind == 0 or left < _SHORTEST_STRAY:
+            if kind == 0 or left < _SHORTEST_STRAY / self._speed:
                 yield from self._hold(min(left, int(self._rng.integers(*_HESITATION_STEPS))))
-            elif kind == 1 or left < _SHORTEST_MISS:
+            elif kind == 1 or left < _SHORTEST_MISS / self._speed:
                 yield from self._stray(grocery)
             else:
                 yield from self._miss(grocery)
@@ -143,8 +149,8 @@ class BinsExpert:
             yield self._towards(self._world.set_point, 0.0)
 
     def _go(self, place: Place, within_m: float, pace: float) -> Iterator[npt.NDArray[np.float32]]:
-        """Moves until the gripper is near a place; `pace` is a share of its greatest speed."""
-        for _ in range(_MAX_REACH_STEPS):
+        """Moves until the gripper is near a place; `pace` is a share of the skill's full speed."""
+        for _ in range(round(_MAX_REACH_STEPS / self._speed)):
             if (np.abs(self._world.gripper - place) < within_m).all():
                 return
             yield self._towards(place, pace)
@@ -152,7 +158,7 @@ class BinsExpert:
     def _towards(self, place: Place, pace: float) -> npt.NDArray[np.float32]:
         """Returns an action towards a place, with noise that grows with the speed along each axis."""
         way = (place - self._world.set_point) / np.array(self._world.spec.action.scale[:3])
-        way *= min(1.0, pace / max(float(np.abs(way).max()), 1e-9))
+        way *= min(1.0, pace * self._speed / max(float(np.abs(way).max()), 1e-9))
         way += (_STILL_NOISE + _MOVING_NOISE * np.abs(way)) * self._rng.standard_normal(3)
         return np.asarray(np.clip(np.append(way, self._fingers), -1, 1), np.float32)
 
@@ -178,10 +184,3 @@ class BinsExpert:
         """Returns the height of walls and other groceries."""
         tops = [float(self._world.position(each)[2]) + each.above_m for each in GROCERIES if each is not grocery]
         return max(WALL_TOP_M, *tops)
-
-
-def _draw_stumbles(count: int, horizon: int, rng: np.random.Generator) -> npt.NDArray[np.float64]:
-    """Draws for how many steps each skill stumbles, float64 (count,), so that all fit into the horizon."""
-    drawn = np.minimum(rng.exponential(_STUMBLING_STEPS, size=count), _MAX_STUMBLING_STEPS)
-    spare = max(0.0, horizon - count * _PLAIN_STEPS)
-    return np.asarray(drawn * min(1.0, spare / max(drawn.sum(), 1e-9)))

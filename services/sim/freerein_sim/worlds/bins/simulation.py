@@ -6,6 +6,7 @@ import numpy as np
 
 from freerein_sim.worlds.bins import CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M, initial_states, scene
 from freerein_sim.worlds.bins.arm import HOME_RAD, Arm
+from freerein_sim.worlds.bins.durations import Durations
 from freerein_sim.worlds.bins.expert import BinsExpert
 from freerein_sim.worlds.bins.layout import FLOOR_M, GROCERIES, Grocery, Place
 from freerein_sim.worlds.bins.predicates import is_placed
@@ -28,13 +29,15 @@ class BinsWorld:
 
     Args:
         spec: The task's spec.
+        durations: Draws how long the expert's moves take.
         light: Factor of all lights.
     """
 
     steps = None
 
-    def __init__(self, spec: WorldSpec, *, light: float = 1.0) -> None:
+    def __init__(self, spec: WorldSpec, durations: Durations, *, light: float = 1.0) -> None:
         self.spec = spec
+        self._durations = durations
         built = scene.build(light=light)
         self._simulation = simulation = MujocoSimulation(spec, built)
         self._arm = Arm(built.model)
@@ -88,7 +91,7 @@ class BinsWorld:
     def expert(self, skills: Sequence[str], rng: np.random.Generator) -> BinsExpert:
         """Returns a demonstrator that moves each named grocery into its compartment; all of them without skills."""
         wanted = skill_indices(self.spec, skills) or tuple(range(len(GROCERIES)))
-        return BinsExpert(self, wanted, rng)
+        return BinsExpert(self, wanted, rng, self._durations)
 
     @property
     def gripper(self) -> Place:

@@ -5,9 +5,12 @@ scene does not reveal which skills occur. The drives of the arm compensate gravi
 """
 
 from collections.abc import Collection
+from dataclasses import replace
+from functools import partial
 
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.conditions import LIGHT_CONDITIONS, light_scale
+from freerein_sim.worlds.dial.durations import Durations, EvenDurations, UnevenDurations
 from freerein_sim.worlds.dial.keypad import DIGITS
 from freerein_sim.worlds.dial.predicates import completed
 from freerein_sim.worlds.opengl import check_mujoco_gl
@@ -38,15 +41,25 @@ SPEC = WorldSpec(
 )
 
 
-def _make(conditions: Collection[str] = ()) -> World:
+def _make(spec: WorldSpec, durations: Durations, conditions: Collection[str] = ()) -> World:
     check_mujoco_gl()
     from freerein_sim.worlds.dial import scene
     from freerein_sim.worlds.dial.simulation import DialWorld
 
-    return DialWorld(SPEC, scene.build(light=light_scale(conditions)))
+    return DialWorld(spec, scene.build(light=light_scale(conditions)), durations)
 
 
 RECIPES = RandomOrder(most=5)
 """More keys do not fit into an episode."""
 
-TASKS = (TaskDefinition("dial", "dial", "", SPEC, _make, completed(SPEC), LIGHT_CONDITIONS, RECIPES, VERSION),)
+
+def _task(name: str, spec: WorldSpec, durations: Durations) -> TaskDefinition:
+    make = partial(_make, spec, durations)
+    return TaskDefinition(name, "dial", "", spec, make, completed(spec), LIGHT_CONDITIONS, RECIPES, VERSION)
+
+
+TASKS = (
+    _task("dial", SPEC, EvenDurations()),
+    _task("dial.uneven", replace(SPEC, max_episode_steps=500), UnevenDurations()),
+)
+"""In `dial.uneven` some presses of a demonstration take many times as long as others; all else is as in `dial`."""

@@ -9,8 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein_sim.worlds.dial import TORQUE_NM, keypad
+from freerein_sim.worlds.dial.durations import Durations
 from freerein_sim.worlds.dial.ik import Angles, key_targets
 from freerein_sim.worlds.dial.predicates import is_pressed
+from freerein_sim.worlds.tempo import draw_tempo
 from freerein_sim.worlds.world import LabelledAction
 
 if TYPE_CHECKING:
@@ -32,14 +34,12 @@ _NOISE, _NOISE_KEPT = (0.0, 0.1, 0.2), 0.8
 _CALM = 0.3
 """Share of the noise that does not depend on the torque."""
 
-_HASTE, _MOST_EXTRA_STEPS = 0.35, 36
-"""Probability of a press at full speed, and how many steps longer than that another may take."""
-
-_LEAST_SPEED = 0.3
 _TURN_RAD = 0.15
 """How far the fastest joint turns in a step at full speed."""
 
 _UP_AND_DOWN_STEPS, _MOST_PRESS_STEPS = 5, 20
+"""Steps up and down at full speed, and steps after which a key is tried again that is not down then."""
+
 _FASTEST_STEPS, _SPARE_STEPS = 15, 13
 """Steps of a press at full speed, and steps of an episode that are not planned for."""
 
@@ -70,8 +70,11 @@ class DialExpert:
     for some steps. The actions that it returns contain the noise.
     """
 
-    def __init__(self, world: "DialWorld", digits: Sequence[int], rng: np.random.Generator) -> None:
+    def __init__(
+        self, world: "DialWorld", digits: Sequence[int], rng: np.random.Generator, durations: Durations
+    ) -> None:
         self._world = world
+        self._durations = durations
         self._waiting = deque(digits)
         self._rng = rng
         self._targets = key_targets()
@@ -119,12 +122,12 @@ class DialExpert:
         off = np.linalg.norm(keypad.CENTRES_M - self._world.fingertip[:2], axis=1)
         lift = self._targets.hover[int(np.argmin(off))]
         moving = _UP_AND_DOWN_STEPS + float(np.abs(hover - self._world.angles).max()) / _TURN_RAD
-        slow = min(extra * self._rng.random(), moving * (1 / _LEAST_SPEED - 1))
-        speed = moving / (moving + slow)
+        tempo = draw_tempo(self._rng, extra, moving_steps=moving, least_speed=self._durations.least_speed)
+        speed = tempo.speed
         return (
             _Stage(lift, self._is_clear, speed=speed),
             _Stage(hover, lambda: self._is_over_key(digit), speed=speed, has_failed=self._is_low),
-            _Stage(hover, steps=round(extra - slow)),
+            _Stage(hover, steps=round(tempo.hesitation_steps)),
             _Stage(press, lambda: self._presses(digit), speed=speed, has_failed=self._is_late),
             _Stage(press, steps=int(self._rng.integers(1, 4))),
         )
@@ -133,8 +136,7 @@ class DialExpert:
         """Draws how many steps the next key may take beyond the fastest, so that all fit into the episode."""
         left = self._world.spec.max_episode_steps - _SPARE_STEPS - self._acts
         spare = left - _FASTEST_STEPS * (1 + len(self._waiting))
-        most = min(_MOST_EXTRA_STEPS, spare)
-        return 0.0 if most <= 0 or self._rng.random() < _HASTE else float(self._rng.uniform(0, most))
+        return self._durations.draw_extra_steps(self._rng, spare)
 
     def _is_clear(self) -> bool:
         return bool(self._world.fingertip[2] > keypad.TOP_M + _CLEAR_M)
@@ -143,7 +145,7 @@ class DialExpert:
         return bool(self._world.fingertip[2] < keypad.TOP_M + _LOW_M)
 
     def _is_late(self) -> bool:
-        return self._stage_acts >= _MOST_PRESS_STEPS
+        return self._stage_acts >= max(_MOST_PRESS_STEPS, _UP_AND_DOWN_STEPS / self._stages[0].speed)
 
     def _is_over_key(self, digit: int) -> bool:
         return bool((np.abs(self._world.fingertip[:2] - keypad.CENTRES_M[digit]) < _OVER_M).all())

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein_sim.worlds.dial import CONTROL_DT_S, RECIPES, scene
+from freerein_sim.worlds.dial.durations import Durations
 from freerein_sim.worlds.dial.expert import DialExpert
 from freerein_sim.worlds.dial.keypad import DIGITS
 from freerein_sim.worlds.mujoco_world import MujocoSimulation, Scene
@@ -22,8 +23,9 @@ class DialWorld:
 
     steps = None
 
-    def __init__(self, spec: WorldSpec, built: Scene) -> None:
+    def __init__(self, spec: WorldSpec, built: Scene, durations: Durations) -> None:
         self.spec = spec
+        self._durations = durations
         self.fingerprint = built.fingerprint
         self._simulation = simulation = MujocoSimulation(spec, built)
         self._data = simulation.data
@@ -57,7 +59,7 @@ class DialWorld:
     def expert(self, skills: Sequence[str], rng: np.random.Generator) -> DialExpert:
         """Returns an expert that presses the named keys in order; without skills, two to five keys that it draws."""
         recipe = skills or RECIPES.draw(rng, self.spec.skills, fewest=2, most=RECIPES.most)
-        return DialExpert(self, skill_indices(self.spec, recipe), rng)
+        return DialExpert(self, skill_indices(self.spec, recipe), rng, self._durations)
 
     @property
     def angles(self) -> Vector:
