@@ -1,5 +1,6 @@
 """Trajectories of people's own folders: images, videos, tables of actions and tags."""
 
+import os
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ import PIL.Image
 import pytest
 
 from freerein.data import Dataset, FolderSource, ImageSource, check, import_trajectories, open_writer, verify
+from freerein.data.recordings import find_recordings
 from freerein.data.videos import frames_at_rate, joined
 from freerein.errors import InvalidInput, NotFound, ServiceError
 from freerein.video import VideoFrame
@@ -195,6 +197,182 @@ def test_loose_images_are_runs_of_about_a_fiftieth(tmp_path: Path) -> None:
     assert (len(dataset), dataset.lengths.max(), dataset.lengths.sum()) == (51, 2, 101)
     assert dataset.spec.cameras == {"camera": (8, 8, 3)}
     assert not dataset.spec.has_actions
+
+
+def named(folder: Path, *names: str) -> None:
+    """Writes images of these names."""
+    draw(folder, 1)
+    for name in names:
+        (folder / f"{name}.png").write_bytes((folder / "0.png").read_bytes())
+    if "0" not in names:
+        (folder / "0.png").unlink()
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("left_0", "right_0", "left_1", "right_1"), "`left_0.png` and `right_0.png` have the same number"),
+        (("0_rgb", "0_depth"), "`0_depth.png` and `0_rgb.png` have the same number"),
+        (("0", "1", "1_mask"), "have the same number"),
+        (("1", "1 (1)"), "have the same number"),
+        (("img_1", "img_01"), "have the same number"),
+        (("cam0_0001", "cam1_0001", "cam1_0002"), "are of different cameras"),
+        (("0", "1", "cover"), "have no order"),
+        (("start_0", "middle_1", "end_2"), "must have one order"),
+    ],
+)
+def test_two_series_in_one_folder_are_refused(tmp_path: Path, names: tuple[str, ...], words: str) -> None:
+    named(tmp_path / "take-1", *names)
+    with pytest.raises(InvalidInput, match=words) as refused:
+        FolderSource(tmp_path)
+    assert "take-1" in refused.value.detail
+    assert refused.value.hint
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("a", "b", "c"),
+        ("2026-01-05_12-00-00", "2026-01-05_12-00-01", "2026-01-06_12-00-00"),
+        ("part1_0001", "part1_0002", "part2_0001"),
+        ("camera_0001", "camera_0002"),
+        ("frame1of2", "frame2of2"),
+    ],
+)
+def test_names_of_one_series_may_hold_texts_and_several_numbers(tmp_path: Path, names: tuple[str, ...]) -> None:
+    named(tmp_path / "take-1", *names)
+    (only,) = FolderSource(tmp_path)
+    assert len(only.actions) == len(names)
+
+
+@pytest.mark.parametrize(
+    ("lay_out", "words"),
+    [
+        (lambda root: draw(root / "session" / "take", 1, 2), "`session/take` must be named like a camera"),
+        (lambda root: [draw(root / "a" / f"take-{n}", 1) for n in (1, 2)], "`a/take-1` must be named like a camera"),
+        (lambda root: [draw(root / s / "007", 1) for s in "ab"], "`a/007` must be named like a camera"),
+        (lambda root: [draw(root / s / t, *range(len(t))) for s in "ab" for t in ("pour", "reach")], "like a camera"),
+        (lambda root: draw(root / "a" / "top", 1) or (root / "a" / "tags.csv").touch(), "it holds `tags.csv`"),
+        (lambda root: draw(root / "a" / "top", 1) or (root / "a/top/tags.csv").touch(), "it holds `top/tags.csv`"),
+        (lambda root: draw(root / "a" / "top", 1) or (root / "a/top/actions.csv").touch(), "holds `top/actions.csv`"),
+        (lambda root: draw(root / "top", 1) or (root / "actions.csv").touch(), "it holds `actions.csv`"),
+    ],
+)
+def test_a_folder_too_high_or_too_low_is_refused(tmp_path: Path, lay_out: Callable[[Path], object], words: str) -> None:
+    lay_out(tmp_path)
+    with pytest.raises(InvalidInput, match=words) as refused:
+        FolderSource(tmp_path)
+    assert "folder" in refused.value.hint
+
+
+def test_a_video_in_the_folder_of_a_trajectory_must_be_named_like_a_camera_too(
+    tmp_path: Path, encode_video: Callable[..., bytes]
+) -> None:
+    (tmp_path / "session").mkdir()
+    (tmp_path / "session" / "take-1.mp4").write_bytes(encode_video(np.zeros((3, 32, 48, 3), np.uint8)))
+    with pytest.raises(InvalidInput, match="`session/take-1` must be named like a camera"):
+        FolderSource(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "cameras", [("top", "side"), ("cam0", "cam1"), ("webcam-2",), ("LeftWrist", "rgb_1"), ("pics",)]
+)
+def test_cameras_are_known_by_their_names(tmp_path: Path, cameras: tuple[str, ...]) -> None:
+    for camera in cameras:
+        draw(tmp_path / "take-1" / camera, 1)
+    assert find_recordings(tmp_path)[0].cameras.keys() == set(cameras)
+
+
+def test_a_camera_of_any_name_without_a_number_is_alike_in_all_trajectories(tmp_path: Path) -> None:
+    for take in ("take-1", "take-2"):
+        for camera in ("bench", "door"):
+            draw(tmp_path / take / camera, 1, 2)
+    source = FolderSource(tmp_path)
+    assert source.contents == "take-1 to take-2, by camera bench, door, at 10 timesteps/s"
+
+
+def test_files_of_operating_systems_are_ignored_and_named(tmp_path: Path) -> None:
+    theirs = tmp_path / "theirs"
+    for take in ("a", "b"):
+        draw(theirs / take, 1, 2)
+        (theirs / take / "Thumbs.db").touch()
+        (theirs / take / "._0.png").touch()
+    draw(theirs / "__MACOSX" / "a", 9)
+    draw(theirs / "a" / "@eaDir", 9)
+    (theirs / "desktop.ini").touch()
+    source = FolderSource(theirs)
+    assert brightness(imported(source, tmp_path / "ours"), 0) == [1, 2]
+    assert source.names == ("a", "b")
+    assert source.notes == (
+        "Ignored what operating systems left: @eaDir (1), Thumbs.db (2), __MACOSX (1), desktop.ini (1).",
+    )
+    assert sum(len(each.actions) for each in ImageSource(theirs)) == 4
+
+
+def test_all_files_that_are_not_read_are_named_at_once(tmp_path: Path) -> None:
+    for take in ("a", "b"):
+        draw(tmp_path / take, 1)
+        for name in ("1.bmp", "2.heic"):
+            (tmp_path / take / name).touch()
+    with pytest.raises(InvalidInput, match=r"`a/1\.bmp`, `a/2\.heic`, `b/1\.bmp` and 1 others must be"):
+        FolderSource(tmp_path)
+
+
+@pytest.mark.parametrize(("size", "stretched"), [((96, 64), "`b/camera`, 96 x 64"), ((32, 48), "")])
+def test_videos_of_several_sizes_are_refused_and_with_a_size_it_is_said_what_is_stretched(
+    tmp_path: Path, encode_video: Callable[..., bytes], size: tuple[int, int], stretched: str
+) -> None:
+    for name, (height, width) in (("a", (64, 96)), ("b", size)):
+        (tmp_path / f"{name}.mp4").write_bytes(encode_video(np.zeros((2, height, width, 3), np.uint8)))
+    with pytest.raises(InvalidInput, match=rf"must be 64 x 96, as the first; `.*b\.mp4` is {size[0]} x {size[1]}"):
+        list(FolderSource(tmp_path))
+    source = FolderSource(tmp_path, size=(32, 48))
+    assert [each.frames["camera"].shape for each in source] == [(2, 32, 48, 3)] * 2
+    assert [stretched in note for note in source.notes] == ([True] if stretched else [])
+
+
+def test_it_is_said_which_images_a_size_stretches(tmp_path: Path) -> None:
+    draw(tmp_path / "a", 1, 2)
+    draw(tmp_path / "b", 1, size=(16, 12))
+    source = FolderSource(tmp_path, size=(16, 12))
+    assert len(list(source)) == 2
+    assert [note.split(" were ")[0] for note in source.notes] == ["Frames of `a/camera`, 12 x 16,"]
+
+
+def put(kind: str, path: Path) -> None:
+    """Puts a pipe, or a link to a device, in the place of a file."""
+    path.unlink(missing_ok=True)
+    os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
+
+
+@pytest.mark.fault("F16")
+@pytest.mark.parametrize("name", ["take/0.png", "take/top/0.png", "tags.csv", "take/actions.csv", "take/top.mp4"])
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_what_is_no_regular_file_is_refused_at_once(tmp_path: Path, name: str, kind: str) -> None:
+    draw(tmp_path / "take" / "top" if name == "take/top/0.png" else tmp_path / "take", 1)
+    put(kind, tmp_path / name)
+    with pytest.raises(InvalidInput, match="must be"):
+        FolderSource(tmp_path)
+
+
+@pytest.mark.fault("F16")
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_a_dataset_with_a_file_that_is_no_regular_one_is_refused_at_once(tmp_path: Path, kind: str) -> None:
+    draw(tmp_path / "theirs" / "take", 1)
+    imported(FolderSource(tmp_path / "theirs"), tmp_path / "ours")
+    put(kind, tmp_path / "ours" / "data" / "chunk-000" / "file-000.parquet")
+    with pytest.raises(InvalidInput, match=f"must be a regular file; it is a {kind}"):
+        Dataset(tmp_path / "ours")[0]
+
+
+@pytest.mark.fault("F16")
+@pytest.mark.parametrize("name", ["info.json", "episodes/chunk-000/file-000.parquet"])
+def test_a_pipe_in_the_index_of_a_dataset_is_replaced(tmp_path: Path, name: str) -> None:
+    draw(tmp_path / "theirs" / "take", 1)
+    imported(FolderSource(tmp_path / "theirs"), tmp_path / "ours")
+    put("pipe", tmp_path / "ours" / "meta" / name)
+    assert brightness(Dataset(tmp_path / "ours"), 0) == [1]
+    assert (tmp_path / "ours" / "meta" / name).is_file()
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,7 @@ def no_mp4(root: Path) -> None:
 
 
 def unknown_codec(root: Path) -> None:
-    encode(root / VIDEO.format("001"), moving_square(1), codec="mpeg4")
+    encode(root / VIDEO.format("001"), moving_square(1), codec="mpeg2video")
 
 
 def frame_missing(root: Path) -> None:
@@ -196,7 +196,7 @@ def rows_missing(root: Path) -> None:
         (no_video, "file-001.mp4` must be in the dataset"),
         (truncated_video, "file-001.mp4` must be a complete mp4"),
         (no_mp4, "file-000.mp4` must be an mp4"),
-        (unknown_codec, "encoded with h264 or av1"),
+        (unknown_codec, "it has the codec mpeg2video"),
         (frame_missing, "frame at 0.300 s, number 3 of 4 of a trajectory; the video ends before"),
         (other_rate, "frame at 0.100 s, number 1 of 5 of a trajectory; the next one is at"),
         (truncated_rows, "truncated or corrupt"),

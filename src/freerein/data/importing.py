@@ -1,6 +1,6 @@
 """Imports trajectories of other tools as a dataset of ours: all of them, or none."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -13,6 +13,10 @@ from freerein.data.trajectory_file import State
 from freerein.data.writer import create
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.types.common import Trajectory
+
+
+_ROUNDING = 1.03
+"""Ratio of proportions up to which they are one: 1080 x 1920 is scaled to 72 x 128, or to 54 x 96."""
 
 
 class Source(Protocol):
@@ -31,6 +35,16 @@ class Source(Protocol):
     def robot_state(self, index: int) -> State | None:
         """Returns the robot's own state in one of them, float32 (T, S); None where the tool does not record it."""
         return None
+
+    @property
+    def contents(self) -> str:
+        """What was taken for what, in a few words; may be empty."""
+        return ""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences of what was left out or changed; complete once every trajectory was yielded."""
+        return ()
 
 
 class LeRobotSource(Source):
@@ -106,6 +120,24 @@ def import_trajectories(source: Source, root: Path, *, on_count: Callable[[int],
         except OSError:
             raise _taken() from None
     fsync_folder(root.parent)
+
+
+def are_stretched(shape: tuple[int, ...], size: tuple[int, int]) -> bool:
+    """Returns whether frames (H, W, ...) have other proportions than a height and width; rounding is allowed."""
+    ratio = shape[0] * size[1] / (shape[1] * size[0])
+    return not 1 / _ROUNDING <= ratio <= _ROUNDING
+
+
+def stretch_notes(stretched: Mapping[str, tuple[int, ...]], size: tuple[int, int] | None) -> tuple[str, ...]:
+    """Returns a sentence about frames, by name, that are stretched from a height and width to `size`; none without."""
+    if not stretched or size is None:
+        return ()
+    name, (height, width) = next(iter(stretched.items()))
+    others = f" and those of {len(stretched) - 1} others" if len(stretched) > 1 else ""
+    return (
+        f"Frames of `{name}`, {height} x {width},{others} were stretched to {size[0]} x {size[1]}, of other "
+        "proportions: crop or turn them first.",
+    )
 
 
 def _taken() -> AlreadyExists:

@@ -29,10 +29,14 @@ from freerein.data.statistics import QUANTILES, STATISTICS, FeatureStatistics
 from freerein.data.tags import Tags
 from freerein.data.trajectory_file import read_footer
 from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.regular_files import open_regular, read_regular
 
 Row: TypeAlias = dict[str, Any]
 
 _FILES = (layout.SPEC_FILE, layout.TASKS_FILE, layout.EPISODES_FILE, layout.STATS_FILE, layout.INFO_FILE)
+_MOST_DATA_BYTES = 2**33
+"""Of a data file: a long trajectory has gigabytes."""
+
 _INTEGERS = ("length", "data/chunk_index", "data/file_index", "dataset_from_index", "dataset_to_index", "data/bytes")
 
 
@@ -75,11 +79,11 @@ def read_spec(root: Path) -> DatasetSpec | None:
 def _recorded_spec(root: Path) -> DatasetSpec | None:
     stored, first = root / layout.SPEC_FILE, layout.trajectory_path(root / "data", 0)
     if stored.is_file():
-        return loads(stored.read_bytes())
+        return loads(read_regular(stored, name=layout.SPEC_FILE))
     if not first.is_file():
         return None
     try:
-        with first.open("rb") as file:
+        with open_regular(first, name="Trajectory 0") as file:
             footer = read_footer(file, index=0)
     except InvalidInput:
         if (root / layout.INFO_FILE).is_file():
@@ -105,7 +109,9 @@ def load(root: Path, spec: DatasetSpec) -> tuple[pa.Table, bool]:
     table = stored.slice(0, valid)
     frames, rows = frame_count(table), list[Row]()
     for index in range(valid, len(files)):
-        data = layout.trajectory_path(root / "data", index).read_bytes()
+        data = read_regular(
+            layout.trajectory_path(root / "data", index), name=f"Trajectory {index}", most_bytes=_MOST_DATA_BYTES
+        )
         rows.append(describe(data, index=index, first_frame=frames))
         frames += rows[-1]["length"]
     is_current = valid == stored.num_rows == len(files) and read_counts(root) == (len(files), frames)
@@ -152,9 +158,9 @@ def read_episodes(root: Path, spec: DatasetSpec) -> pa.Table:
     """Returns the episodes table of `meta/`; empty when it is missing or cannot be read."""
     schema = episodes_schema(spec)
     try:
-        data = pa.BufferReader((root / layout.EPISODES_FILE).read_bytes())
-        table = pq.ParquetFile(data).read(use_threads=False)
-    except (pa.ArrowException, OSError):
+        data = read_regular(root / layout.EPISODES_FILE, name=layout.EPISODES_FILE, most_bytes=_MOST_DATA_BYTES)
+        table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
+    except (pa.ArrowException, OSError, InvalidInput):
         return schema.empty_table()
     table = _with_quantiles(table, schema)
     return table.cast(schema) if table.schema.equals(schema) else schema.empty_table()
@@ -163,9 +169,9 @@ def read_episodes(root: Path, spec: DatasetSpec) -> pa.Table:
 def read_counts(root: Path) -> tuple[int, int] | None:
     """Returns the numbers of trajectories and frames in `info.json`; None when it cannot be read."""
     try:
-        info = json.loads((root / layout.INFO_FILE).read_text())
+        info = json.loads(read_regular(root / layout.INFO_FILE, name=layout.INFO_FILE))
         return int(info["total_episodes"]), int(info["total_frames"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, InvalidInput):
         return None
 
 
