@@ -24,9 +24,14 @@ def store(tmp_path: Path) -> JobStore:
 
 @pytest.fixture
 def runner(store: JobStore, monkeypatch: pytest.MonkeyPatch) -> AttemptRunner:
+    return toy_runner(store, monkeypatch)
+
+
+def toy_runner(store: JobStore, monkeypatch: pytest.MonkeyPatch, **options: float) -> AttemptRunner:
     toys = Path(__file__).parents[1] / "orchestrator"
     monkeypatch.setenv("PYTHONPATH", f"{toys}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
-    return AttemptRunner(store, module="toy_child", arguments=("here",), hidden_env=("FREEREIN_DATABASE_URL",))
+    hidden = ("FREEREIN_DATABASE_URL",)
+    return AttemptRunner(store, module="toy_child", arguments=("here",), hidden_env=hidden, **options)
 
 
 def go_on() -> StopRequest:
@@ -91,6 +96,18 @@ def test_every_row_of_metrics_is_an_event_and_a_step_that_is_done_again_is_not(s
         (3, {"loss": 1 / 3}),
         (4, {"loss": 1 / 4}),
     ]
+
+
+@pytest.mark.fault("F16")
+@pytest.mark.parametrize(("wait_at", "outcome"), [(2, "crashed"), (0, "failed")])
+def test_a_child_at_a_standstill_is_ended_and_tried_again_only_where_it_had_progressed(
+    store, monkeypatch, wait_at, outcome
+):
+    run_id = store.create(START, {"config": {"steps": 3, "wait_at": wait_at, "killed": int(not wait_at)}})
+    attempt = toy_runner(store, monkeypatch, standstill_s=1.0).run(run_id, go_on)
+    assert (attempt.outcome, attempt.progressed) == (outcome, wait_at > 0)
+    assert "did nothing for 1 s" in attempt.error
+    assert not psutil.pid_exists(int((store.folder(run_id) / "pids.txt").read_text()))
 
 
 @pytest.mark.fault("O5")

@@ -23,6 +23,7 @@ from freerein.jobs.child import OUT_OF_STORAGE, PERMANENT_FAILURE, STOPPED
 from freerein.jobs.json_lines import LineReader
 from freerein.jobs.metrics import metric_row
 from freerein.jobs.retry import NO_PAUSE, AttemptResult, Pause
+from freerein.jobs.standstill import STANDSTILL_S, Standstill
 from freerein.jobs.store import JobStore
 
 _log = logging.getLogger(__name__)
@@ -36,6 +37,8 @@ _SHORTAGES = {errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM}  # of file
 
 StopRequest = Literal["", "interrupt", "cancel"]
 """Why an attempt must stop: another attempt will resume the job, or the job was cancelled; empty to continue."""
+
+_STANDSTILL: Literal["standstill"] = "standstill"
 
 CANCELLED_FILE = "cancelled"
 WAITING_FILE = "waiting"
@@ -58,6 +61,7 @@ class AttemptRunner:
         arguments: Its arguments after the job's folder.
         hidden_env: Environment variables that it does not get.
         start_child: Starts it.
+        standstill_s: Seconds without progress and CPU time after which it is ended; see `freerein.jobs.standstill`.
     """
 
     def __init__(
@@ -68,12 +72,14 @@ class AttemptRunner:
         arguments: Sequence[str] = (),
         hidden_env: Sequence[str] = (),
         start_child: StartChild = spawn,
+        standstill_s: float = STANDSTILL_S,
     ) -> None:
         self._store = store
         self._module = module
         self._arguments = arguments
         self._hidden_env = hidden_env
         self._start_child = start_child
+        self._standstill_s = standstill_s
 
     def run(self, job_id: str, should_stop: Callable[[], StopRequest], pause: Pause = NO_PAUSE) -> AttemptResult:
         """Starts a job's child process after a pause, and returns how it ended.
@@ -142,7 +148,7 @@ class AttemptRunner:
         """Records the child's progress until it ends or must stop; it has ended, or was killed, however this ends."""
         folder = self._store.folder(job_id)
         rows = LineReader(folder / "metrics.jsonl")
-        request: StopRequest = "interrupt"
+        request: StopRequest | Literal["standstill"] = "interrupt"
         try:
             done = self._store.last(job_id).step
             request = self._watch(job_id, child, rows, should_stop)
@@ -150,16 +156,18 @@ class AttemptRunner:
             _end(child, _CANCEL_S if request == "cancel" else _SAVE_S)
             while self._record_progress(job_id, rows):
                 pass
+        progressed = self._store.last(job_id).step > done
+        if request == _STANDSTILL:
+            return AttemptResult("crashed" if progressed else "failed", progressed, _stood_still(self._standstill_s))
         if request:
             raise AttemptStopped
-        progressed = self._store.last(job_id).step > done
         return _result(child.wait(), _last_line(folder / "log.txt"), progressed=progressed)
 
     def _watch(
         self, job_id: str, child: ChildProcess, rows: LineReader, should_stop: Callable[[], StopRequest]
-    ) -> StopRequest:
+    ) -> StopRequest | Literal["standstill"]:
         """Returns why a child must stop; empty when it has ended by itself. Raises NotFound when its job is deleted."""
-        waits = ""
+        waits, standstill = "", Standstill(child.pid, limit_s=self._standstill_s)
         while child.poll() is None:
             self._store.check(job_id)
             if request := should_stop():
@@ -167,8 +175,10 @@ class AttemptRunner:
                     with suppress(OSError):
                         (self._store.folder(job_id) / CANCELLED_FILE).touch()
                 return request
-            self._record_progress(job_id, rows)
+            progressed = self._record_progress(job_id, rows)
             waits = self._record_wait(job_id, waits)
+            if standstill.is_reached(progressed=progressed or bool(waits)):
+                return _STANDSTILL
             with suppress(subprocess.TimeoutExpired):
                 child.wait(_POLL_S)
         return ""
@@ -240,6 +250,13 @@ def _result(code: int, last_line: str, *, progressed: bool) -> AttemptResult:
         return AttemptResult("killed", progressed, f"The child process was killed by {cause}.")
     ended = f"was killed by {name}" if code < 0 else f"ended with exit code {code}"
     return AttemptResult("crashed", progressed, f"The child process {ended}; see log.txt in the job's folder.")
+
+
+def _stood_still(after_s: float) -> str:
+    return (
+        f"The child process did nothing for {after_s:g} s and was ended: a file or file system that it reads does not "
+        "answer. Mend that, then resume."
+    )
 
 
 def _last_line(path: Path) -> str:
