@@ -83,7 +83,7 @@ def import_dataset(
     else:
         source = _SOURCES[kind](path, size=_size(size))
     import_with_progress(source, name, is_shown=not as_json)
-    _show_count(name, "imported", len(source), as_json=as_json)
+    _show_import(name, source, as_json=as_json)
 
 
 def import_with_progress(source: Source, name: str, *, is_shown: bool) -> None:
@@ -158,6 +158,14 @@ def label(
     """
     count = data.label(dataset_root(name), table.read_bytes())
     _show_count(name, "labelled", count, as_json=as_json)
+
+
+def _show_import(name: str, source: Source, *, as_json: bool) -> None:
+    if as_json:
+        print_json({"dataset": name, "imported": len(source), "contents": source.contents, "notes": source.notes})
+        return
+    contents = f": {source.contents}" if source.contents else ""
+    typer.echo("\n".join([f"{len(source)} trajectories of {name} are imported{contents}.", *source.notes]))
 
 
 def _show_count(name: str, done: str, count: int, *, as_json: bool) -> None:
