@@ -77,6 +77,8 @@ def test_a_service_runs_comes_back_and_is_healthy_when_it_is_ready(name: str) ->
     assert service["command"] == ["python", "-m", f"freerein_{name}"]
     assert service["restart"] == "unless-stopped"
     assert service["init"] is True
+    assert "ProxyHandler({})" in service["healthcheck"]["test"][-1]
+    assert {"127.0.0.1", "postgres", *PORTS} <= set(service["environment"]["no_proxy"].split(","))
     assert int(service["stop_grace_period"].removesuffix("s")) >= 15
     assert f"urlopen('http://127.0.0.1:{PORTS[name].rest}/readyz')" in service["healthcheck"]["test"][-1]
 

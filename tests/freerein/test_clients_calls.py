@@ -212,6 +212,76 @@ async def test_a_call_that_gets_no_answer_ends_at_its_deadline(channel: Channel)
         await SimClient(channel).render(sim.RenderRequest(SESSION), timeout_s=0.2)
 
 
+@pytest.mark.parametrize("timeout_s", [0, -1.0, float("nan"), float("-inf"), True, "30"])
+async def test_a_timeout_that_is_none_is_refused_by_its_name(channel: Channel, peer: Peer, timeout_s: Any) -> None:
+    client = SimClient(channel)
+    calls = [
+        client.render(sim.RenderRequest(SESSION), timeout_s=timeout_s),
+        SegmentationClient(channel).list_skills(SKILLS, timeout_s=timeout_s),
+        anext(client.demonstrate(sim.DemonstrateRequest("push", "expert", count=1), timeout_s=timeout_s)),
+        anext(client.connect(no_requests(), timeout_s=timeout_s)),
+    ]
+    for call in calls:
+        with pytest.raises(errors.InvalidInput, match="`timeout_s` must be seconds above 0") as error:
+            await call
+        assert error.value.field == "timeout_s"
+    assert not peer.calls
+
+
+def test_a_time_of_silence_is_at_least_a_second() -> None:
+    Channel("127.0.0.1:9104", keepalive_s=float("inf"))
+    for keepalive_s in (0.5, float("nan"), -1):
+        with pytest.raises(errors.InvalidInput, match="`keepalive_s` must be at least 1 second"):
+            Channel("127.0.0.1:9104", keepalive_s=keepalive_s)
+
+
+async def no_requests() -> AsyncIterator[sim.ConnectRequest]:
+    return
+    yield
+
+
+@pytest.mark.parametrize("timeout_s", [float("inf"), 1e12, 1e300, None, np.float32(9), 9])
+async def test_a_timeout_may_be_endless_and_of_any_type_of_number(channel: Channel, timeout_s: Any) -> None:
+    assert (await SegmentationClient(channel).list_skills(SKILLS, timeout_s=timeout_s)).skills == ("move", "turn")
+
+
+def test_a_client_of_another_event_loop_says_so(reserve_ports: Any) -> None:
+    port = reserve_ports(["sim"])["sim"].grpc
+    client = SimClient(Channel(f"127.0.0.1:{port}"))
+
+    async def call() -> None:
+        await client.list_tasks(sim.ListTasksRequest(), timeout_s=5.0)
+
+    async def iterate() -> None:
+        await anext(client.demonstrate(sim.DemonstrateRequest("push", "expert", count=1)))
+
+    with pytest.raises(errors.Unavailable):
+        asyncio.run(call())
+    for again in (call, iterate):
+        with pytest.raises(errors.FailedPrecondition, match="event loop of its first call") as error:
+            asyncio.run(again())
+        assert "SyncClient" in error.value.hint
+    asyncio.run(client.close())
+
+
+async def test_the_proxy_of_the_environment_is_named_where_a_call_took_it(
+    monkeypatch: pytest.MonkeyPatch, reserve_ports: Any
+) -> None:
+    for name in ("grpc_proxy", "https_proxy", "no_proxy", "no_grpc_proxy"):
+        monkeypatch.delenv(name, raising=False)
+    port = reserve_ports(["sim"])["sim"].grpc
+    monkeypatch.setenv("http_proxy", f"http://secret@127.0.0.1:{port}")
+    async with SimClient(Channel("sim.invalid:9104")) as client:
+        with pytest.raises(errors.ServiceError) as error:
+            await client.render(sim.RenderRequest(SESSION), timeout_s=1.0)
+        assert "the proxy in `http_proxy`" in error.value.hint
+        assert "secret" not in f"{error.value.detail} {error.value.hint}"
+    monkeypatch.setenv("no_proxy", "localhost, .invalid")
+    assert Channel("sim.invalid:9104").proxy == Channel("127.0.0.1:9104").proxy == ""
+    monkeypatch.setenv("grpc_proxy", "http://127.0.0.1:9")
+    assert Channel("sim.example:9104").proxy == "grpc_proxy"
+
+
 async def test_an_idempotency_key_is_made_where_the_caller_gave_none(channel: Channel, peer: Peer) -> None:
     await SimClient(channel).create_session(sim.CreateSessionRequest("push"))
     await SimClient(channel).create_session(sim.CreateSessionRequest("push", idempotency_key="mine"))

@@ -1,5 +1,6 @@
 """The connection to one service."""
 
+import asyncio
 import os
 import re
 import threading
@@ -15,6 +16,8 @@ from freerein.clients import retry_policy
 from freerein.errors import FailedPrecondition, InvalidInput
 
 MAX_MESSAGE_BYTES = 64 * 2**20
+_NO_PROXIES = ("no_grpc_proxy", "no_proxy")
+_PROXIES = ("grpc_proxy", "https_proxy", "http_proxy")  # those of gRPC, the first counts
 _TOKEN = re.compile(r"[!-~]*")  # what a header carries unchanged
 
 _OPTIONS: tuple[tuple[str, int], ...] = (
@@ -49,7 +52,7 @@ class Channel:
             line a ping waits behind what is being sent, so a short time takes a long upload for a silence.
 
     Raises:
-        InvalidInput: The token has other characters.
+        InvalidInput: The token has other characters, or the time is too short.
 
     Attributes:
         methods: Methods of the gRPC channel, by RPC; forgotten when it is closed, since they keep gRPC running.
@@ -64,24 +67,50 @@ class Channel:
                 field="token",
                 hint="Give the token as the service has it in FREEREIN_TOKEN, without line breaks.",
             )
+        if not keepalive_s >= 1:
+            raise InvalidInput(
+                f"`keepalive_s` must be at least 1 second, or infinity for no pings; got {keepalive_s:g}.",
+                field="keepalive_s",
+                hint="Leave it out for 10 s.",
+            )
         self.address = address
-        self._keepalive_ms = int(keepalive_s * 1000)
+        self._keepalive_ms = int(min(keepalive_s * 1000, 2**31 - 1))
         self._authorization = (("authorization", f"Bearer {token}"),) if token else ()
         self._root_certificates = root_certificates
         self._grpc: aio.Channel | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._is_closed = False
         self.methods: dict[str, Any] = {}
+
+    @property
+    def proxy(self) -> str:
+        """Name of the environment variable whose proxy calls take; empty for none."""
+        if _is_loopback(self.address):
+            return ""
+        host = self.address.rpartition(":")[0]
+        unproxied = next(filter(None, map(os.environ.get, _NO_PROXIES)), "")
+        if any(host.endswith(each) for each in map(str.strip, unproxied.split(",")) if each):
+            return ""
+        return next(filter(os.environ.get, _PROXIES), "")
 
     @property
     def grpc(self) -> aio.Channel:
         """The gRPC channel; access within a running event loop.
 
         Raises:
-            FailedPrecondition: The channel is closed, or the process was forked while its parent had an open one.
+            FailedPrecondition: The channel is closed, belongs to another event loop, or the process was forked while
+                its parent had an open one.
         """
         if self._is_closed:
             raise FailedPrecondition("The client must be open; it is closed.", hint="Make another one.")
+        loop = asyncio.get_running_loop()
+        if self._grpc is not None and self._loop is not loop:
+            raise FailedPrecondition(
+                "A client must be used in the event loop of its first call; this is another.",
+                hint="Make a client in each, such as within the coroutine that asyncio.run gets, or use SyncClient.",
+            )
         if self._grpc is None:
+            self._loop = loop
             _check_not_forked()
             _open_channels.add(self)
             options = (

@@ -39,12 +39,12 @@ _HINTS: dict[type[ServiceError], str] = {
 }
 
 
-def service_error(error: aio.AioRpcError, *, call: str) -> ServiceError:
-    """Returns the `ServiceError` of a failed call."""
+def service_error(error: aio.AioRpcError, *, call: str, proxy: str = "") -> ServiceError:
+    """Returns the `ServiceError` of a failed call, which took the proxy of the environment variable `proxy`, if any."""
     status = _status(error)
     info = _detail(status, error_details_pb2.ErrorInfo)
     if info is None or info.domain != DOMAIN:
-        return _grpc_own_error(error, call=call)
+        return _grpc_own_error(error, call=call, proxy=proxy)
     retry = _detail(status, error_details_pb2.RetryInfo)
     return errors.by_code(info.reason)(
         status.message,
@@ -72,11 +72,14 @@ def _detail(status: status_pb2.Status, kind: type[M]) -> M | None:
         return None
 
 
-def _grpc_own_error(error: aio.AioRpcError, *, call: str) -> ServiceError:
+def _grpc_own_error(error: aio.AioRpcError, *, call: str, proxy: str) -> ServiceError:
     details = error.details() or error.code().name
     cls = _BY_STATUS.get(error.code(), errors.Internal)
     if _TOO_LARGE in details:
         cls = errors.TooLarge
     elif _BROKEN in details:
         cls = errors.Unavailable
-    return cls(f"{call} failed: {details}.", hint=_HINTS.get(cls, ""))
+    hint = _HINTS.get(cls, "")
+    if proxy and cls in (errors.Unavailable, errors.DeadlineExceeded):
+        hint += f" It was called by the proxy in `{proxy}`: write its host into `no_proxy` to call it directly."
+    return cls(f"{call} failed: {details}.", hint=hint)

@@ -14,7 +14,7 @@ from copy import copy
 from dataclasses import replace
 from operator import methodcaller
 from types import TracebackType
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, SupportsFloat, TypeVar, cast
 
 from google.protobuf.descriptor import MethodDescriptor
 from google.protobuf.message import Message
@@ -27,6 +27,7 @@ from freerein.clients.grpc_errors import service_error
 from freerein.errors import Internal, InvalidInput, ServiceError, TooLarge
 
 DEADLINE_S = 30.0
+_LONGEST_S = 1e9
 
 Request = TypeVar("Request")
 Response = TypeVar("Response")
@@ -88,15 +89,15 @@ class Rpc(Generic[Request, Response]):
     @property
     def _grpc_call(self) -> Any:
         """The method of the gRPC channel."""
-        methods, name = self._channel.methods, self.descriptor.full_name
+        methods, channel, name = self._channel.methods, self._channel.grpc, self.descriptor.full_name
         if name not in methods:
-            methods[name] = self._grpc_method()
+            methods[name] = self._grpc_method(channel)
         return methods[name]
 
-    def _grpc_method(self) -> Any:
+    def _grpc_method(self, channel: aio.Channel) -> Any:
         rpc = self.descriptor
         sent, received = ("stream" if streams else "unary" for streams in (rpc.client_streaming, rpc.server_streaming))
-        return getattr(self._channel.grpc, f"{sent}_{received}")(
+        return getattr(channel, f"{sent}_{received}")(
             f"/{rpc.containing_service.full_name}/{rpc.name}",
             request_serializer=methodcaller("SerializeToString"),
             response_deserializer=wire.message_type(self.response).FromString,
@@ -108,7 +109,8 @@ class Rpc(Generic[Request, Response]):
         try:
             yield
         except aio.AioRpcError as error:
-            raised = service_error(error, call=f"{self.descriptor.name} at {self._channel.address}")
+            call = f"{self.descriptor.name} at {self._channel.address}"
+            raised = service_error(error, call=call, proxy=self._channel.proxy)
             if raised.hint:
                 raised.add_note(f"Hint: {raised.hint}")
             raised.add_note(f"Request id: {request_id}")
@@ -118,7 +120,7 @@ class Rpc(Generic[Request, Response]):
         self, sent: Message | AsyncIterator[Message], timeout_s: float | None, failures: Sequence[Exception] = ()
     ) -> AsyncGenerator[Response, None]:
         """Yields the responses; a call that ends in an error raises the first of `failures`, if any, instead."""
-        request_id = uuid.uuid4().hex
+        request_id, timeout_s = uuid.uuid4().hex, _deadline(timeout_s)
         # Begun only when iterated, so that an unused iterator leaves no call open.
         stream = self._grpc_call(sent, timeout=timeout_s, metadata=self._channel.metadata(request_id))
         try:
@@ -145,20 +147,22 @@ class Rpc(Generic[Request, Response]):
 class UnaryRpc(Rpc[Request, Response]):
     """An RPC with one response."""
 
-    async def __call__(self, request: Request, *, timeout_s: float = DEADLINE_S) -> Response:
+    async def __call__(self, request: Request, *, timeout_s: float | None = DEADLINE_S) -> Response:
         """Sends one request and returns the response.
 
         Args:
             request: The request; an empty `idempotency_key` is filled in, so that the call can be retried.
-            timeout_s: Deadline of all attempts together, in seconds.
+            timeout_s: Deadline of all attempts together, in seconds; None or infinity for none.
 
         Raises:
+            InvalidInput: `timeout_s` is no number above 0.
+            FailedPrecondition: The client is closed, or was used in another event loop before.
             ServiceError: The service refused the request, could not be reached or did not answer in time.
         """
-        request_id = uuid.uuid4().hex
+        request_id, timeout = uuid.uuid4().hex, _deadline(timeout_s)
         message = _packed(_keyed(request))
         with self._errors(request_id):
-            received = await self._grpc_call(message, timeout=timeout_s, metadata=self._channel.metadata(request_id))
+            received = await self._grpc_call(message, timeout=timeout, metadata=self._channel.metadata(request_id))
         return self._unpacked(received)
 
 
@@ -179,6 +183,23 @@ class StreamRpc(Rpc[Request, Response]):
         """Returns an iterator over the responses; as `ServerStreamRpc`. It raises what `requests` raises."""
         failures: list[Exception] = []
         return self._stream(_packed_each(requests, failures), timeout_s, failures)
+
+
+def _deadline(timeout_s: float | None) -> float | None:
+    """Returns a caller's timeout as gRPC takes it, which ends calls at once that may take too many years."""
+    if timeout_s is None:
+        return None
+    if isinstance(timeout_s, bool) or not isinstance(timeout_s, SupportsFloat) or not float(timeout_s) > 0:
+        raise InvalidInput(
+            f"`timeout_s` must be seconds above 0, or None for no deadline; got {_shown(timeout_s)}.",
+            field="timeout_s",
+            hint=f"Leave it out for {DEADLINE_S:g} s.",
+        )
+    return float(timeout_s) if timeout_s <= _LONGEST_S else None
+
+
+def _shown(timeout_s: object) -> str:
+    return f"{float(timeout_s):g}" if isinstance(timeout_s, SupportsFloat) else f"a {type(timeout_s).__name__}"
 
 
 def _method_of(request: type[object]) -> MethodDescriptor:

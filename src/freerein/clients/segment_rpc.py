@@ -30,12 +30,12 @@ _MESSAGE_PIXELS = 2**21
 class SegmentRpc(UnaryRpc[SegmentRequest, SegmentResponse]):
     """`Segment`, or `SegmentStream` where the trajectory is too large for one request."""
 
-    async def __call__(self, request: SegmentRequest, *, timeout_s: float = DEADLINE_S) -> SegmentResponse:
+    async def __call__(self, request: SegmentRequest, *, timeout_s: float | None = DEADLINE_S) -> SegmentResponse:
         """Sends one trajectory and returns its labels.
 
         Args:
             request: The trajectory.
-            timeout_s: Deadline in seconds, of all attempts or of the stream.
+            timeout_s: Deadline in seconds, of all attempts or of the stream; None or infinity for none.
 
         Raises:
             TooLarge: The trajectory is too large for one request, and short segments are to be merged, which streams

@@ -270,9 +270,8 @@ def _invalid(error: ValidationError, message: Descriptor) -> InvalidInput:
 def _message_at(location: Iterable[int | str], message: Descriptor) -> Descriptor:
     """Returns the message at a place in a request; in a map, the message of its values."""
     for part in location:
-        name = "value" if message.GetOptions().map_entry else part
-        inner = message.fields_by_name[name].message_type if name in message.fields_by_name else None
-        message = inner or message
+        field = message.fields_by_name.get("value" if message.GetOptions().map_entry else str(part))
+        message = (field and field.message_type) or message
     return message
 
 
