@@ -1,9 +1,13 @@
 """Default ports of the services, and the environment variables that override their addresses."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from freerein.errors import InvalidInput
+
+_MAX_PORT = 65535
+_HOST = re.compile(r"[^\s/:\[\]]+|\[[0-9a-fA-F:.%\w]+\]")
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,8 @@ def addresses(service: str, environ: Mapping[str, str]) -> tuple[str, ...]:
     """Returns the gRPC addresses, `host:port`, of all replicas of a service.
 
     They are the comma-separated value of `FREEREIN_<SERVICE>_ADDRESS`, by default loopback and the port table. Raises
-    InvalidInput when the service does not exist, or the variable does not hold `host:port`.
+    InvalidInput when the service does not exist, or the variable does not hold `host:port`. An IPv6 address is in
+    brackets.
     """
     if service not in PORTS:
         raise InvalidInput(
@@ -41,13 +46,15 @@ def addresses(service: str, environ: Mapping[str, str]) -> tuple[str, ...]:
             hint="Use one of these names.",
         )
     variable = f"FREEREIN_{service.upper()}_ADDRESS"
-    found = (environ.get(variable) or f"127.0.0.1:{PORTS[service].grpc}").split(",")
+    found = [each.strip() for each in environ.get(variable, "").split(",") if each.strip()]
     for each in found:
         host, _, port = each.rpartition(":")
-        if not (host and port.isdecimal()):
+        is_port = port.isascii() and port.isdecimal() and 0 < int(port[:6]) <= _MAX_PORT
+        if not is_port or _HOST.fullmatch(host) is None:
             raise InvalidInput(
-                f"{variable} must hold host:port; got something else.",
+                f"{variable} must hold host:port, with a port from 1 to {_MAX_PORT}; got something else.",
                 field=variable,
-                hint=f"Set it to something like 127.0.0.1:{PORTS[service].grpc}, or unset it.",
+                hint=f"Set it to something like 127.0.0.1:{PORTS[service].grpc} or [::1]:{PORTS[service].grpc}, "
+                "without http://, or unset it.",
             )
-    return tuple(found)
+    return tuple(found) or (f"127.0.0.1:{PORTS[service].grpc}",)

@@ -6,8 +6,10 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from freerein.cli.settings import CliSettings
 from freerein.clients import Channel
 from freerein.errors import InvalidInput
+from freerein.serving.learned import LearnedSettings
 from freerein.serving.settings import ServiceSettings
 
 SELF_SIGNED = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 1 -subj /CN=localhost"
@@ -15,7 +17,7 @@ SELF_SIGNED = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -no
 
 @pytest.fixture(autouse=True)
 def _clean_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for variable in ("TOKEN", "HOST", "HTTP_PORT", "GRPC_PORT", "DATA_DIR", "INSECURE"):
+    for variable in ("TOKEN", "HOST", "HTTP_PORT", "GRPC_PORT", "DATA_DIR", "INSECURE", "DEVICE", "SHIPPED_DIR"):
         monkeypatch.delenv(f"FREEREIN_{variable}", raising=False)
     monkeypatch.chdir(tmp_path)
 
@@ -105,6 +107,55 @@ def test_a_certificate_and_its_key_come_together_and_can_be_read(
     monkeypatch.setenv("FREEREIN_TLS_KEY", "ours.key")
     monkeypatch.setenv("FREEREIN_HOST", "0.0.0.0")
     assert ServiceSettings().tls_key == Path("ours.key")
+
+
+def test_the_spellings_that_people_use_are_understood(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    spelled = {
+        "DATA_DIR": " ~/freerein ",
+        "HOST": " [::1] ",
+        "HTTP_PORT": " 8104 ",
+        "LOG_LEVEL": "INFO",
+        "QUEUE": " 4",
+        "INSECURE": " True ",
+        "DEVICE": "cuda",
+        "SHIPPED_DIR": "~/models",
+        "RECEIPT_S": "20 ",
+        "CORS_ORIGINS": "http://localhost:3000/, https://robots.example",
+    }
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for variable, value in spelled.items():
+        monkeypatch.setenv(f"FREEREIN_{variable}", value)
+    settings = LearnedSettings()
+    assert (settings.data_dir, settings.shipped_dir) == (tmp_path / "freerein", tmp_path / "models")
+    assert (settings.host, settings.http_port, settings.log_level) == ("::1", 8104, "info")
+    assert (settings.queue, settings.insecure, settings.device, settings.receipt_s) == (4, True, "cuda:0", 20.0)
+    assert settings.origins == ("http://localhost:3000", "https://robots.example")
+    assert CliSettings().data_dir == tmp_path / "freerein"
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [("CPU", "cpu"), ("CUDA:1", "cuda:1"), ("gpu", "cuda:0"), (" Auto", "auto")]
+)
+def test_a_device_may_be_spelled_otherwise(monkeypatch: pytest.MonkeyPatch, value: str, expected: str) -> None:
+    monkeypatch.setenv("FREEREIN_DEVICE", value)
+    assert LearnedSettings().device == expected
+
+
+@pytest.mark.parametrize(("value", "expected"), [("WARN", "warning"), ("Debug ", "debug"), ("CRITICAL", "error")])
+def test_a_level_may_be_spelled_otherwise(monkeypatch: pytest.MonkeyPatch, value: str, expected: str) -> None:
+    monkeypatch.setenv("FREEREIN_LOG_LEVEL", value)
+    assert ServiceSettings().log_level == expected
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"),
+    [("DEVICE", "cuda:x"), ("DEVICE", "tpu"), ("DATA_DIR", "~nobody-has-this-name/x"), ("HTTP_PORT", "8104 8105")],
+)
+def test_what_nobody_means_is_refused_by_its_name(monkeypatch: pytest.MonkeyPatch, variable: str, value: str) -> None:
+    monkeypatch.setenv(f"FREEREIN_{variable}", value)
+    with pytest.raises(ValidationError) as error:
+        LearnedSettings()
+    assert error.value.errors()[0]["loc"] == (variable.lower(),)
 
 
 def test_a_data_directory_that_is_a_file_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -3,10 +3,11 @@
 from pathlib import Path
 
 from pydantic import SecretStr
-from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from freerein.serving.environment import EnvironmentSettings
 
 
-class CliSettings(BaseSettings):
+class CliSettings(EnvironmentSettings):
     """Settings of the command line: environment variables `FREEREIN_<NAME>`, shared with the services.
 
     Attributes:
@@ -14,8 +15,6 @@ class CliSettings(BaseSettings):
         token: Bearer token sent to services; unset for none.
         tls_cert: PEM file of the root certificates of the services; unset for no TLS.
     """
-
-    model_config = SettingsConfigDict(env_prefix="FREEREIN_", frozen=True, env_ignore_empty=True)
 
     data_dir: Path = Path("var")
     token: SecretStr | None = None

@@ -6,14 +6,15 @@ from pathlib import Path
 from typing import Literal, Self
 
 from pydantic import Field, SecretStr, model_validator
-from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from freerein.serving.environment import EnvironmentSettings
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _TOKEN = re.compile(r"[!-~]+")  # what a header carries unchanged
 _ORIGIN = re.compile(r"https?://[^/\s?#*]+")
 
 
-class ServiceSettings(BaseSettings):
+class ServiceSettings(EnvironmentSettings):
     """Settings of every service. Each is an environment variable `FREEREIN_<NAME>`.
 
     Attributes:
@@ -36,8 +37,6 @@ class ServiceSettings(BaseSettings):
         cors_origins: Origins whose web pages may call the REST API, separated by commas, such as
             `http://localhost:3000`; unset for none.
     """
-
-    model_config = SettingsConfigDict(env_prefix="FREEREIN_", frozen=True, env_ignore_empty=True)
 
     host: str = "127.0.0.1"
     http_port: int | None = Field(default=None, ge=0, le=65535)
@@ -103,7 +102,8 @@ class ServiceSettings(BaseSettings):
     @property
     def origins(self) -> tuple[str, ...]:
         """Origins whose web pages may call the REST API."""
-        return tuple(origin.strip() for origin in self.cors_origins.split(",") if origin.strip())
+        origins = (origin.strip().removesuffix("/") for origin in self.cors_origins.split(","))
+        return tuple(filter(None, origins))
 
     @property
     def is_local(self) -> bool:

@@ -90,7 +90,7 @@ class RunContext:
     @property
     def reward_models(self) -> ModelStore:
         """The models of the reward service, whose encoders policies see with."""
-        shipped = Path(self.environ.get("FREEREIN_SHIPPED_DIR") or CLONE_MODELS)
+        shipped = Path(self.environ.get("FREEREIN_SHIPPED_DIR") or CLONE_MODELS).expanduser()
         return ModelStore(self.data_dir / "models" / "reward", shipped=shipped / "reward")
 
     def retry(self) -> Retry:
@@ -158,7 +158,7 @@ class RunContext:
         channel = Channel(
             where,
             token=self.environ.get("FREEREIN_TOKEN", ""),
-            root_certificates=Path(certificate).read_bytes() if certificate else None,
+            root_certificates=Path(certificate).expanduser().read_bytes() if certificate else None,
         )
         connected = SyncClient(client(channel))
         self.closing.callback(connected.close)

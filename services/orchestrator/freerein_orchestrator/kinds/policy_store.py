@@ -36,7 +36,7 @@ class PolicyStore:
         cls, data_dir: Path, environ: Mapping[str, str], *, siblings: Path | None = None, pins: Path | None = None
     ) -> "PolicyStore":
         """Returns the store of a data directory; `FREEREIN_SHIPPED_DIR` says where shipped models are."""
-        shipped = Path(environ.get("FREEREIN_SHIPPED_DIR") or CLONE_MODELS)
+        shipped = Path(environ.get("FREEREIN_SHIPPED_DIR") or CLONE_MODELS).expanduser()
         models = ModelStore(data_dir / "models" / "orchestrator", shipped=shipped / "orchestrator")
         return cls(data_dir / "runs", models, siblings, pins)
 

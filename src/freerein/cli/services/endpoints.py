@@ -9,6 +9,7 @@ from importlib.metadata import entry_points
 
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.ports import PORTS, Ports, address
+from freerein.serving.environment import unbracketed
 
 GROUP = "freerein.services"
 LOOPBACK = "127.0.0.1"
@@ -70,7 +71,7 @@ def configured_ports(names: Collection[str], environ: Mapping[str, str]) -> dict
     """
     ports = {name: PORTS[name] for name in names}
     for attribute, variable in (("rest", "FREEREIN_HTTP_PORT"), ("grpc", "FREEREIN_GRPC_PORT")):
-        if not (value := environ.get(variable)):
+        if not (value := environ.get(variable, "").strip()):
             continue
         if len(ports) != 1:
             raise InvalidInput(
@@ -92,7 +93,7 @@ def configured_ports(names: Collection[str], environ: Mapping[str, str]) -> dict
 
 def configured_host(environ: Mapping[str, str]) -> str:
     """Returns the address that services bind: `FREEREIN_HOST`, by default loopback."""
-    return environ.get("FREEREIN_HOST") or LOOPBACK
+    return unbracketed(environ.get("FREEREIN_HOST") or "") or LOOPBACK
 
 
 def connectable(host: str) -> str:
