@@ -96,7 +96,7 @@ def test_a_table_of_tags_is_valid_as_a_whole_or_changes_nothing(root: Path, text
         ("0,0,5,reach", "Line 2, column `end`"),
         ("0,2,2,reach", "Line 2, column `end`"),
         ("0,0,2,reach\n0,1,4,pour", "Line 3, column `start`"),
-        ("1,0,4,pour\n0,0,2,reach\n0,3,4,pour", "Line 4, column `end`"),
+        ("1,0,4,pour\n0,0,2,reach\n0,3,5,pour", "Line 4, column `end`"),
         ("0,x,4,reach", "Line 2, column `start`"),
     ],
 )

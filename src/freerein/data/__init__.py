@@ -23,12 +23,13 @@ from freerein.data.checks import inspect as inspect
 from freerein.data.checks import verify as verify
 from freerein.data.folders import FolderSource as FolderSource
 from freerein.data.folders import ImageSource as ImageSource
-from freerein.data.importing import LeRobotSource as LeRobotSource
 from freerein.data.importing import Source as Source
 from freerein.data.importing import import_trajectories as import_trajectories
 from freerein.data.layout import DatasetSpec as DatasetSpec
 from freerein.data.layout import dataset_path as dataset_path
 from freerein.data.layout import integer_fps as integer_fps
+from freerein.data.lerobot_features import LeRobotOptions as LeRobotOptions
+from freerein.data.lerobot_source import LeRobotSource as LeRobotSource
 from freerein.data.meta import read_teachers as read_teachers
 from freerein.data.meta import save_teachers as save_teachers
 from freerein.data.mime import MimeSource as MimeSource

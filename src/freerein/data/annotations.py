@@ -1,4 +1,4 @@
-"""Annotations that people bring as CSV files: tags of trajectories, and true labels of a few for evaluation.
+"""Annotations that people bring as tables: tags of trajectories, and true labels of a few for evaluation.
 
     trajectory,skills            trajectory,start,end,skill
     0,reach;pour                 0,0,41,reach
@@ -7,61 +7,34 @@
 A trajectory is named by its index, LeRobot's `episode_index`. Nothing changes unless the whole file is valid.
 """
 
-import csv
-import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.data import meta, tags, truth
+from freerein.data.annotation_table import Line, lines
+from freerein.data.label_table import LabelOptions, Segment, read_segments
 from freerein.data.meta import WriterLock
 from freerein.data.reader import Dataset
+from freerein.data.skill_names import SkillNames, normal
 from freerein.data.tags import Tags
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition
+from freerein.types.segmentation import NO_SKILL
 
 _TAG_COLUMNS = ("trajectory", "skills")
-_LABEL_COLUMNS = ("trajectory", "start", "end", "skill")
-_SEPARATOR = ";"
-_MAX_SKILL = 64
 _NAMED_TWICE = ("name each trajectory once; it names one again", "Join the two lines.")
+_SEVERAL_HINT = "Separate skills by `;`, such as reach;pour."
+_OF_TABLE = LabelOptions()
 
 
-@dataclass(frozen=True)
-class _Line:
-    """A line of a CSV file: its number, from 1, and its cells by column."""
-
-    number: int
-    cells: dict[str, str]
-
-    def integer(self, column: str, *, least: int, most: int) -> int:
-        """Returns a cell that must be a whole number in [least, most]."""
-        text = self.cells[column].strip()
-        if not (text.isascii() and text.isdigit() and len(text) < 19 and least <= int(text) <= most):
-            raise self.error(column, f"be a whole number in [{least}, {most}]; it is not", "Count from 0.")
-        return int(text)
-
-    def skills(self) -> tuple[str, ...]:
-        """Returns the skills that the column `skills` names, sorted; empty for an empty cell."""
-        text = self.cells["skills"].strip()
-        names = [name.strip() for name in text.split(_SEPARATOR)] if text else []
-        if not all(0 < len(name) <= _MAX_SKILL and name.isprintable() for name in names):
-            raise self.error(
-                "skills",
-                f"hold names of 1 to {_MAX_SKILL} characters, separated by `{_SEPARATOR}`; it does not",
-                "For example: reach;pour.",
-            )
-        return tuple(sorted(set(names)))
-
-    def error(self, column: str, expected: str, hint: str) -> InvalidInput:
-        """Returns the error of a cell."""
-        return InvalidInput(f"Line {self.number}, column `{column}`, must {expected}.", field=column, hint=hint)
+def _unnoted(_: str) -> None:
+    """Takes a note that nobody reads."""
 
 
-def tag(root: Path, table: bytes) -> int:
+def tag(root: Path, table: bytes, *, on_note: Callable[[str], None] = _unnoted) -> int:
     """Tags trajectories of a dataset with the skills that occur in them; returns how many.
 
     An empty cell takes the tags away. The dataset's skills are afterwards those of its trajectories; while some have
@@ -70,7 +43,8 @@ def tag(root: Path, table: bytes) -> int:
     Args:
         root: The dataset's folder.
         table: CSV with the columns `trajectory` and `skills`, several separated by semicolons; other trajectories
-            keep their tags.
+            keep their tags. Skills that differ by capital letters or spaces are one.
+        on_note: Called with a sentence for each spelling that was taken for another.
 
     Raises:
         NotFound: There is no dataset in `root`.
@@ -79,30 +53,34 @@ def tag(root: Path, table: bytes) -> int:
     """
     with closing(WriterLock(_existing(root))):
         dataset = Dataset(root)
-        given = _tags(table, count=len(dataset))
-        earlier = tags.read(root)
-        merged = {**(earlier.by_trajectory if earlier else {}), **given}
-        skills = [given.get(index, each) for index, each in enumerate(dataset.skills)]
-        occurring = {skill for each in skills for skill in each}
-        kept = [skill for skill in dataset.spec.skills if skill in occurring or truth.labelled(root)]
-        tags.save(root, Tags((*kept, *sorted(occurring - set(kept))), merged))
-        spec = meta.read_spec(root)
-        if spec is not None:
-            meta.save(root, spec, meta.load(root, spec)[0])
+        given = _tags(table, dataset, SkillNames(dataset.spec.skills, on_note))
+        _save_tags(root, dataset, given)
     return len(given)
 
 
-def label(root: Path, table: bytes) -> int:
+def label(
+    root: Path,
+    table: bytes,
+    *,
+    options: LabelOptions = _OF_TABLE,
+    with_tags: bool = False,
+    on_note: Callable[[str], None] = _unnoted,
+) -> int:
     """Stores true labels of a few trajectories, for evaluation only; returns of how many.
 
     Args:
         root: The dataset's folder.
-        table: CSV with the columns `trajectory`, `start`, `end` and `skill`: segments [start, end), which cover each
-            named trajectory from its first to its last timestep.
+        table: Segments [start, end) of skills, or a skill for each timestep, as `read_segments` takes them. Timesteps
+            in none of them have no label.
+        options: How to read it.
+        with_tags: Whether the skills of its labels become tags of a trajectory, beside those that it has.
+        on_note: Called with a sentence for each spelling or unit that was taken for another, and for timesteps without
+            a label.
 
     Raises:
         NotFound: There is no dataset in `root`.
-        InvalidInput: A line is not as above; the error names line and column.
+        InvalidInput: A line is not as above, overlaps another, or has a skill that is not among the trajectory's tags;
+            the error names line and column.
         FailedPrecondition: The dataset is being written, or another tool wrote it.
     """
     with closing(WriterLock(_existing(root))):
@@ -112,26 +90,46 @@ def label(root: Path, table: bytes) -> int:
                 "True labels must belong to a dataset that freerein wrote; another tool wrote this one.",
                 hint="Import it first: freerein dataset import PATH NAME.",
             )
-        labels = _labels(table, dataset)
+        lengths = dataset.lengths.tolist()
+        segments = read_segments(table, lengths, fps=dataset.spec.fps, options=options, on_note=on_note)
+        names = _label_names(segments, dataset, SkillNames(dataset.spec.skills, on_note), with_tags=with_tags)
+        spellings = sorted(set(names.values()))
+        labels = _labels(segments, [spellings.index(names[each.skill]) for each in segments], lengths)
+        if with_tags:
+            _save_tags(root, dataset, _tags_of(segments, names, dataset))
+        skills = Dataset(root).spec.skills
+        numbers = np.array([*map(skills.index, spellings), NO_SKILL], np.int64)
         for index, values in labels.items():
-            truth.save(root, index, values)
+            truth.save(root, index, numbers[values])
+            _note_missing(index, values, on_note)
     return len(labels)
 
 
-def read_tags(table: bytes, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+def read_tags(
+    table: bytes, names: Sequence[str], *, on_note: Callable[[str], None] = _unnoted
+) -> dict[str, tuple[str, ...]]:
     """Returns the skills of trajectories by name, as `tag` reads those by index.
 
     Raises InvalidInput where a line is not as there, or names none of the trajectories `names`.
     """
+    skills, known = SkillNames((), on_note), {normal(name): name for name in names}
     given = dict[str, tuple[str, ...]]()
-    for line in _lines(table, _TAG_COLUMNS):
-        name = line.cells["trajectory"].strip()
-        if name not in names:
+    for line in lines(table, _TAG_COLUMNS, hint=_SEVERAL_HINT):
+        name = known.get(normal(line.cells["trajectory"]))
+        if name is None:
             raise line.error("trajectory", "name a trajectory that is there; it does not", f"The first is {names[0]}.")
         if name in given:
             raise line.error("trajectory", *_NAMED_TWICE)
-        given[name] = line.skills()
+        given[name] = _skills(line, skills)
     return given
+
+
+def _skills(line: Line, skills: SkillNames) -> tuple[str, ...]:
+    """Returns the skills that the column `skills` names, sorted; empty for an empty cell."""
+    try:
+        return tuple(sorted(set(skills.split(line.cells["skills"]))))
+    except ValueError as error:
+        raise line.error("skills", str(error), "For example: reach;pour.") from None
 
 
 def _existing(root: Path) -> Path:
@@ -140,63 +138,80 @@ def _existing(root: Path) -> Path:
     return root
 
 
-def _tags(table: bytes, *, count: int) -> dict[int, tuple[str, ...]]:
-    given = dict[int, tuple[str, ...]]()
-    for line in _lines(table, _TAG_COLUMNS):
-        index = line.integer("trajectory", least=0, most=count - 1)
-        if index in given:
+def _tags(table: bytes, dataset: Dataset, skills: SkillNames) -> dict[int, tuple[str, ...]]:
+    """Returns the skills of the trajectories named, by LeRobot's `episode_index`."""
+    given, known = dict[int, tuple[str, ...]](), frozenset(dataset.episodes)
+    for line in lines(table, _TAG_COLUMNS, hint=_SEVERAL_HINT):
+        episode = line.integer("trajectory", least=0, most=max(known, default=0))
+        if episode not in known:
+            raise line.error("trajectory", "name an episode that is there; it does not", "Leave the line out.")
+        if episode in given:
             raise line.error("trajectory", *_NAMED_TWICE)
-        given[index] = line.skills()
+        given[episode] = _skills(line, skills)
     return given
 
 
-def _labels(table: bytes, dataset: Dataset) -> dict[int, npt.NDArray[np.int64]]:
-    """Returns the labels of each named trajectory, int64 (T,)."""
-    skills, labels, last = dataset.spec.skills, dict[int, npt.NDArray[np.int64]](), dict[int, _Line]()
-    for line in _lines(table, _LABEL_COLUMNS):
-        index = line.integer("trajectory", least=0, most=len(dataset) - 1)
-        values = labels.setdefault(index, np.full(dataset.lengths[index], -1, np.int64))
-        start = line.integer("start", least=0, most=len(values) - 1)
-        end = line.integer("end", least=start + 1, most=len(values))
-        if line.cells["skill"].strip() not in skills:
-            names = ", ".join(skills) or "none yet"
-            raise line.error("skill", f"be one of the dataset's skills, {names}; it is not", "Tag the dataset first.")
-        if np.any(values[start:end] >= 0):
-            raise line.error("start", "begin where no other segment is; it overlaps one", "Segments are [start, end).")
-        values[start:end], last[index] = skills.index(line.cells["skill"].strip()), line
-    for index, values in labels.items():
-        missing = np.flatnonzero(values < 0)
-        if len(missing):
-            raise last[index].error(
-                "end",
-                f"complete a trajectory of {len(values)} timesteps; timestep {missing[0]} of trajectory {index} has no "
-                "label",
-                "The segments of a trajectory cover all of it.",
+def _save_tags(root: Path, dataset: Dataset, given: Mapping[int, tuple[str, ...]]) -> None:
+    earlier = tags.read(root)
+    merged = {**(earlier.by_trajectory if earlier else {}), **given}
+    pairs = zip(dataset.episodes, dataset.skills, strict=True)
+    occurring = {skill for episode, skills in pairs for skill in given.get(episode, skills)}
+    kept = [skill for skill in dataset.spec.skills if skill in occurring or truth.labelled(root)]
+    tags.save(root, Tags((*kept, *sorted(occurring - set(kept))), merged))
+    spec = meta.read_spec(root)
+    if spec is not None:
+        meta.save(root, spec, meta.load(root, spec)[0])
+
+
+def _label_names(
+    segments: Sequence[Segment], dataset: Dataset, skills: SkillNames, *, with_tags: bool
+) -> dict[str, str]:
+    """Returns the spelling of each skill that the table has."""
+    names = dict[str, str]()
+    for each in segments:
+        column = each.columns[1]
+        try:
+            name = names.setdefault(each.skill, skills.one(each.skill))
+        except ValueError as error:
+            raise each.line.error(column, str(error), "A label is one skill.") from None
+        tagged = dataset.skills[each.trajectory] or dataset.spec.skills
+        if not with_tags and name not in tagged:
+            noun = (
+                f"the tags of trajectory {each.trajectory}"
+                if dataset.skills[each.trajectory]
+                else "the dataset's skills"
             )
+            raise each.line.error(
+                column,
+                f"be among {noun}, {', '.join(tagged) or 'none yet'}; it is not",
+                "Tag the dataset first, or take the tags from the labels: --tags.",
+            )
+    return names
+
+
+def _labels(
+    segments: Sequence[Segment], numbers: Sequence[int], lengths: Sequence[int]
+) -> dict[int, npt.NDArray[np.int64]]:
+    """Returns the number of the segment of each timestep by trajectory, int64 (T,); `NO_SKILL` where there is none."""
+    labels = {each.trajectory: np.full(lengths[each.trajectory], NO_SKILL, np.int64) for each in segments}
+    for each, number in zip(segments, numbers, strict=True):
+        values = labels[each.trajectory][each.start : each.end]
+        if np.any(values != NO_SKILL):
+            expected = "begin where no other segment is; it overlaps one"
+            raise each.line.error(each.columns[0], expected, "Segments are [start, end).")
+        values[:] = number
     return labels
 
 
-def _lines(table: bytes, columns: tuple[str, ...]) -> Iterator[_Line]:
-    """Yields the lines after the header; lines without any text are left out."""
-    try:
-        reader = csv.reader(io.StringIO(table.decode("utf-8-sig"), newline=""), strict=True)
-        header = [name.strip() for name in next(reader, [])]
-        if header != list(columns):
-            raise InvalidInput(
-                f"Line 1 must be `{','.join(columns)}`; it is not.",
-                field="header",
-                hint="Columns are separated by commas, in this order.",
-            )
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                if len(cells) != len(columns):
-                    raise InvalidInput(
-                        f"Line {reader.line_num} must have {len(columns)} columns; it has {len(cells)}.",
-                        field=columns[min(len(cells), len(columns) - 1)],
-                        hint="Put text that holds a comma into quotes.",
-                    )
-                yield _Line(reader.line_num, dict(zip(columns, cells, strict=True)))
-    except (UnicodeDecodeError, csv.Error):
-        raise InvalidInput(
-            "The file must be CSV in UTF-8; it is not.", hint="Save it as CSV, separated by commas."
-        ) from None
+def _note_missing(index: int, values: npt.NDArray[np.int64], on_note: Callable[[str], None]) -> None:
+    missing = int(np.sum(values == NO_SKILL))
+    if missing:
+        on_note(f"{missing} of {len(values)} timesteps of trajectory {index} have no label: they are not measured.")
+
+
+def _tags_of(segments: Sequence[Segment], names: Mapping[str, str], dataset: Dataset) -> dict[int, tuple[str, ...]]:
+    """Returns the tags of each labelled trajectory, with the skills of its labels."""
+    found = {each.trajectory: set(dataset.skills[each.trajectory]) for each in segments}
+    for each in segments:
+        found[each.trajectory].add(names[each.skill])
+    return {index: tuple(sorted(skills)) for index, skills in found.items()}

@@ -15,7 +15,8 @@ from freerein.data.meta import Row
 from freerein.data.reader import Dataset
 from freerein.data.tag_checks import Problem, tag_problems
 from freerein.data.trajectory_file import read_rows
-from freerein.errors import InvalidInput, ServiceError
+from freerein.errors import InvalidInput, ServiceError, UnsupportedMedia
+from freerein.types.segmentation import NO_SKILL
 
 _GAP = "The data files must be numbered without a gap; this one is missing."
 _REBUILD = "Open the dataset while no writer is open: `meta/` is rebuilt from the data files."
@@ -153,7 +154,7 @@ def _check_data_file(
     """
     path, schema = layout.trajectory_path(root / "data", index), layout.data_schema(spec)
     row = meta.describe(path.read_bytes(), index=index, first_frame=first_frame)
-    rows = read_rows(path, index=index, columns=schema.names)
+    rows = read_rows([path], index=index, columns=schema.names)
     if len(rows) != row["length"] or not rows.schema.equals(schema):
         raise InvalidInput(f"The file must hold trajectory {index} alone, in the dataset's columns; it does not.")
     t = np.arange(len(rows))
@@ -196,8 +197,8 @@ def _truth_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
         except ServiceError as error:
             yield Problem(_where("truth", index), error.detail, _RESTORE)
             continue
-        if len(labels) != lengths[index] or np.any((labels < 0) | (labels >= len(spec.skills))):
-            sentence = f"There must be {lengths[index]} labels in [0, {len(spec.skills)}); these are not."
+        if len(labels) != lengths[index] or np.any((labels < NO_SKILL) | (labels >= len(spec.skills))):
+            sentence = f"There must be {lengths[index]} labels in [{NO_SKILL}, {len(spec.skills)}); these are not."
             yield Problem(_where("truth", index), sentence, _RESTORE)
 
 
@@ -207,11 +208,11 @@ def _foreign_problems(root: Path) -> Iterator[Problem]:
     except InvalidInput as error:
         yield Problem("meta", error.detail, error.hint)
         return
-    for index in range(len(dataset)):
+    for index, episode in enumerate(dataset.episodes):
         try:
             _ = dataset[index], dataset.robot_state(index)
-        except InvalidInput as error:
-            yield Problem(f"trajectory {index}", error.detail, error.hint)
+        except (InvalidInput, UnsupportedMedia) as error:
+            yield Problem(f"trajectory {episode}", error.detail, error.hint)
 
 
 def _where(folder: str, index: int) -> str:
@@ -236,7 +237,7 @@ def _first_frame_problems(dataset: Dataset) -> Iterator[Problem]:
 
 
 def _trajectory_problems(dataset: Dataset, index: int) -> Iterator[Problem]:
-    where = f"trajectory {index}"
+    where = f"trajectory {dataset.episodes[index]}"
     if dataset.lengths[index] == 0:
         yield Problem(where, "A trajectory must have at least one timestep; this one has none.", "Leave it out.")
         return

@@ -26,11 +26,11 @@ from freerein.data.recordings import (
     natural,
     system_files,
 )
-from freerein.data.videos import BOUNDS, frames_at_rate, joined
+from freerein.data.videos import BOUNDS, joined
 from freerein.errors import InvalidInput, NotFound
 from freerein.regular_files import read_regular
 from freerein.types.common import ActionSpec, Image, Trajectory
-from freerein.video import open_video
+from freerein.video import frames_at_rate, open_video
 
 _RUNS = 50
 _SHORTER, _LONGEST = 128, 1024
@@ -129,7 +129,8 @@ class FolderSource(Source):
             self._note_size(recording, camera, own)
             if self._size is None and own != shape[:2]:
                 raise _other_size(own, shape, files)
-            return joined(frames_at_rate(video, fps=self._spec.fps, file=files.name), shape)
+            sampled = frames_at_rate(video, fps=self._spec.fps, file=files.name)
+            return joined((frame.pixels for frame in sampled), shape)
 
     def _images(self, recording: Recording, camera: str, files: Iterable[Path]) -> Iterator[Pixels]:
         for file in files:

@@ -1,22 +1,41 @@
 """Imports trajectories of other tools as a dataset of ours: all of them, or none."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from freerein.atomic_files import fsync_folder
+from freerein.data import truth
 from freerein.data.folder_locks import temporary_folder
 from freerein.data.layout import DatasetSpec
-from freerein.data.reader import Dataset
 from freerein.data.trajectory_file import State
-from freerein.data.writer import create
-from freerein.errors import AlreadyExists, InvalidInput, NotFound
+from freerein.data.writer import Writer, create
+from freerein.errors import AlreadyExists, InvalidInput
 from freerein.types.common import Trajectory
-
 
 _ROUNDING = 1.03
 """Ratio of proportions up to which they are one: 1080 x 1920 is scaled to 72 x 128, or to 54 x 96."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A trajectory of another tool, and what is stored beside it.
+
+    Attributes:
+        trajectory: The trajectory.
+        robot_state: The robot's own state, float32 (T, S); None where the tool does not record it.
+        labels: True labels, int64 (T,), indices into the spec's skills, or -1 where unknown; None where there are none.
+        name: Its name in errors.
+    """
+
+    trajectory: Trajectory
+    robot_state: State | None = None
+    labels: npt.NDArray[np.int64] | None = None
+    name: str = ""
 
 
 class Source(Protocol):
@@ -32,9 +51,13 @@ class Source(Protocol):
     def __iter__(self) -> Iterator[Trajectory]:
         """Yields each, decoded; raises InvalidInput where one is missing, corrupt or does not match the spec."""
 
-    def robot_state(self, index: int) -> State | None:
-        """Returns the robot's own state in one of them, float32 (T, S); None where the tool does not record it."""
-        return None
+    def recorded(self) -> Iterator[Recorded]:
+        """Yields each with what is stored beside it; raises as `__iter__`."""
+        return map(Recorded, self)
+
+    def skips(self, error: InvalidInput) -> bool:
+        """Returns whether to go on without a trajectory that cannot be written."""
+        return False
 
     @property
     def contents(self) -> str:
@@ -45,50 +68,6 @@ class Source(Protocol):
     def notes(self) -> tuple[str, ...]:
         """Sentences of what was left out or changed; complete once every trajectory was yielded."""
         return ()
-
-
-class LeRobotSource(Source):
-    """The trajectories of a LeRobotDataset v3, of images or video; actions and `observation.state` stay in their units.
-
-    Args:
-        folder: Its folder.
-        size: Height and width to scale frames to; None to keep their own.
-
-    Raises:
-        NotFound: There is no dataset.
-        InvalidInput: It is not a supported LeRobotDataset v3, or corrupt.
-    """
-
-    def __init__(self, folder: Path, *, size: tuple[int, int] | None = None) -> None:
-        try:
-            self._dataset = Dataset(folder)
-        except NotFound:
-            raise NotFound(
-                "There must be a LeRobotDataset v3 in the folder, with `meta/info.json`; there is none.",
-                hint="Name the folder that holds `meta`; for the MIME dataset add --layout mime.",
-            ) from None
-        self._size = size
-        own = self._dataset.spec
-        cameras = {
-            name: (*(size or (height, width)), channels) for name, (height, width, channels) in own.cameras.items()
-        }
-        self._spec = replace(own, cameras=cameras)
-
-    @property
-    def spec(self) -> DatasetSpec:
-        """Properties that they share."""
-        return self._spec
-
-    def __len__(self) -> int:
-        return len(self._dataset)
-
-    def __iter__(self) -> Iterator[Trajectory]:
-        for trajectory in self._dataset.stream(range(len(self)), size=self._size):
-            yield replace(trajectory, skills=tuple(sorted(set(trajectory.skills))))
-
-    def robot_state(self, index: int) -> State | None:
-        """Returns `observation.state` of a trajectory, float32 (T, S); None where there is none."""
-        return self._dataset.robot_state(index)
 
 
 def import_trajectories(source: Source, root: Path, *, on_count: Callable[[int], None] = lambda _: None) -> None:
@@ -112,14 +91,28 @@ def import_trajectories(source: Source, root: Path, *, on_count: Callable[[int],
     with temporary_folder(root.parent, prefix=".import-") as folder:
         unfinished = folder / root.name
         with create(unfinished, source.spec) as writer:
-            for index, trajectory in enumerate(source):
-                writer.append(trajectory, robot_state=source.robot_state(index))
-                on_count(index + 1)
+            for count, recorded in enumerate(source.recorded(), start=1):
+                _append(writer, unfinished, source, recorded)
+                on_count(count)
+            if not len(writer):
+                raise InvalidInput("A trajectory must be whole; none is.", hint="`freerein dataset verify FOLDER`.")
         try:
             unfinished.rename(root)
         except OSError:
             raise _taken() from None
     fsync_folder(root.parent)
+
+
+def _append(writer: Writer, root: Path, source: Source, recorded: Recorded) -> None:
+    try:
+        index = writer.append(recorded.trajectory, robot_state=recorded.robot_state)
+        if recorded.labels is not None:
+            truth.save(root, index, recorded.labels)
+    except InvalidInput as error:
+        detail = f"{recorded.name}: {error.detail}" if recorded.name else error.detail
+        named = InvalidInput(detail, field=error.field, hint=error.hint)
+        if not source.skips(named):
+            raise named from None
 
 
 def are_stretched(shape: tuple[int, ...], size: tuple[int, int]) -> bool:

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.atomic_files import write_atomic
-from freerein.data import layout
+from freerein.data import json_files, layout
 from freerein.data.meta import WriterLock
 from freerein.data.trajectory_file import read_labels, write_labels
 from freerein.errors import FailedPrecondition, InvalidInput
@@ -100,7 +100,7 @@ def info(root: Path) -> LabelsInfo:
     if not path.is_file():
         raise FailedPrecondition("A dataset must have a skill for every timestep; this one has none.", hint=_HINT)
     try:
-        document = json.loads(path.read_bytes())
+        document = json_files.read(path, name=_INFO)
         model = ModelRef(str(document["model"]["name"]), str(document["model"]["version"]))
         return LabelsInfo(tuple(str(skill) for skill in document["skills"]), model)
     except (ValueError, KeyError, TypeError) as error:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from freerein.data import json_files
 from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, check_name
 
@@ -138,7 +139,7 @@ def dumps(spec: DatasetSpec) -> str:
 def loads(text: str | bytes) -> DatasetSpec:
     """Parses JSON of `dumps`."""
     try:
-        document = json.loads(text)
+        document = json_files.parse(text)
         action = document["action"]
         return DatasetSpec(
             fps=int(document["fps"]),

@@ -23,7 +23,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from freerein.atomic_files import write_atomic
-from freerein.data import layout, statistics, tags
+from freerein.data import json_files, layout, statistics, tags
 from freerein.data.layout import DatasetSpec, dumps, loads
 from freerein.data.statistics import QUANTILES, STATISTICS, FeatureStatistics
 from freerein.data.tags import Tags
@@ -124,7 +124,8 @@ def load(root: Path, spec: DatasetSpec) -> tuple[pa.Table, bool]:
 def with_tags(episodes: pa.Table, given: Tags) -> pa.Table:
     """Returns an episodes table with tags that were given later."""
     column = episodes.schema.get_field_index("skills")
-    skills = pa.array(given.applied(episodes["skills"].to_pylist()), pa.list_(pa.string()))
+    tagged = given.applied(episodes["episode_index"].to_pylist(), episodes["skills"].to_pylist())
+    skills = pa.array(tagged, pa.list_(pa.string()))
     return episodes.set_column(column, "skills", skills)
 
 
@@ -169,7 +170,7 @@ def read_episodes(root: Path, spec: DatasetSpec) -> pa.Table:
 def read_counts(root: Path) -> tuple[int, int] | None:
     """Returns the numbers of trajectories and frames in `info.json`; None when it cannot be read."""
     try:
-        info = json.loads(read_regular(root / layout.INFO_FILE, name=layout.INFO_FILE))
+        info = json_files.parse(read_regular(root / layout.INFO_FILE, name=layout.INFO_FILE))
         return int(info["total_episodes"]), int(info["total_frames"])
     except (OSError, ValueError, KeyError, TypeError, InvalidInput):
         return None
@@ -243,7 +244,15 @@ def save_teachers(root: Path, teachers: Sequence[Mapping[str, Any]]) -> None:
 def read_teachers(root: Path) -> list[dict[str, Any]]:
     """Returns the cards of the policies that acted; empty for demonstrations."""
     path = root / layout.TEACHERS_FILE
-    return list(json.loads(path.read_bytes())) if path.is_file() else []
+    if not path.is_file():
+        return []
+    try:
+        return [dict(card) for card in json_files.read(path, name=layout.TEACHERS_FILE)]
+    except (ValueError, TypeError):
+        raise InvalidInput(
+            "`teachers.json` must hold the cards of policies as freerein wrote them; it does not.",
+            hint="Restore it from a copy.",
+        ) from None
 
 
 def _with_quantiles(stored: pa.Table, schema: pa.Schema) -> pa.Table:

@@ -18,10 +18,10 @@ import numpy.typing as npt
 
 from freerein.data.importing import Source
 from freerein.data.layout import DatasetSpec
-from freerein.data.videos import BOUNDS, frames_at_rate, joined
+from freerein.data.videos import BOUNDS, joined
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ActionSpec, Trajectory
-from freerein.video import open_video
+from freerein.video import frames_at_rate, open_video
 
 _ANGLES, _VIDEO = "joint_angles.txt", "rd_kinect_rgb.mp4"
 _GRIPPERS = ("left_gripper", "right_gripper")
@@ -89,7 +89,8 @@ class MimeSource(Source):
         _check_there(demonstration, _VIDEO)
         name = _name(demonstration, _VIDEO)
         with open_video(demonstration / _VIDEO, channels=1, size=self._size, bounds=BOUNDS, field=name) as video:
-            return joined(frames_at_rate(video, fps=_FPS, file=name), (*self._size, 1))
+            sampled = frames_at_rate(video, fps=_FPS, file=name)
+            return joined((frame.pixels for frame in sampled), (*self._size, 1))
 
     def _positions(self, demonstration: Path, length: int) -> npt.NDArray[np.float32]:
         """Returns where joints and grippers are at each timestep, float32 (T, A)."""

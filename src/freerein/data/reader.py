@@ -1,7 +1,9 @@
 """`Dataset`, what learners read. Ground truth cannot be reached: no module imported here knows where it lies."""
 
 import hashlib
+import json
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -14,17 +16,21 @@ import pyarrow as pa
 from freerein import images
 from freerein.data import layout, lerobot, meta, tags
 from freerein.data.cache import StepCache, open_or_build
+from freerein.data.lerobot_features import DEFAULTS, LeRobotOptions
 from freerein.data.trajectory_file import (
     Actions,
     State,
+    corrupt_as_invalid,
     decode_actions,
     decode_frames,
     decode_state,
     decode_terminations,
+    episode_ranges,
     read_rows,
 )
 from freerein.data.videos import VideoSpan, video_frames
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, UnsupportedMedia
+from freerein.regular_files import open_regular
 from freerein.types.common import Trajectory
 
 
@@ -35,10 +41,17 @@ class Dataset:
     LeRobotDataset v3 of images or video. Where that has no `next.terminated`, `terminated` is
     its `next.done`, which most tools also set where an episode was truncated.
 
+    Args:
+        root: The dataset's folder.
+        options: What is read of another tool's dataset; `cached_...` needs the defaults.
+
     Attributes:
         spec: Properties that the trajectories share.
+        episodes: LeRobot's `episode_index` of each trajectory: its index, but in datasets of other tools with gaps.
+        left_out: Why each feature of another tool's dataset is not read that is not, by its name.
         lengths: int64 (n,), timesteps of each trajectory.
         skills: Skills that occur in each trajectory, sorted; empty where unknown.
+        tasks: LeRobot's tasks of each trajectory; its goal text where there is one.
         goal_texts: Goal text of each trajectory, the spec's `task` by default; empty where unknown.
 
     Raises:
@@ -46,24 +59,30 @@ class Dataset:
         InvalidInput: A file is missing or corrupt, or the features are not supported.
     """
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, options: LeRobotOptions = DEFAULTS) -> None:
         self._root = root
         spec, given = meta.read_spec(root), tags.read(root)
+        self._is_foreign = spec is None
         if spec is None:
-            foreign = lerobot.read(root)
+            foreign = lerobot.read(root, options)
             self.spec, table, self._keys = foreign.spec, foreign.episodes, foreign.camera_keys
-            self._videos = foreign.videos
+            self._videos, self.left_out = foreign.videos, foreign.left_out
+            self._action_columns, self._state_columns = foreign.action_columns, foreign.state_columns
             if given:
                 self.spec, table = replace(foreign.spec, skills=given.skills), meta.with_tags(table, given)
             self._terminated_key = foreign.terminated_key
         else:
             self.spec, table = spec, meta.load_and_repair(root, spec)
             self._keys = {camera: layout.camera_key(camera) for camera in spec.cameras}
-            self._videos = dict[str, tuple[VideoSpan, ...]]()
+            self._videos, self.left_out = dict[str, tuple[VideoSpan, ...]](), dict[str, str]()
+            self._action_columns = {"action": spec.action.size} if spec.has_actions else {}
+            self._state_columns = {layout.STATE_KEY: spec.robot_state_size}
             self._terminated_key = layout.TERMINATED_KEY if spec.has_terminations else ""
+        self.episodes: tuple[int, ...] = tuple(table["episode_index"].to_pylist())
         self.lengths: npt.NDArray[np.int64] = table["length"].to_numpy().astype(np.int64)
         self.skills = tuple(tuple(skills) for skills in table["skills"].to_pylist())
-        self.goal_texts = tuple(texts[0] if len(texts) == 1 else self.spec.task for texts in table["tasks"].to_pylist())
+        self.tasks = tuple(tuple(texts) for texts in table["tasks"].to_pylist())
+        self.goal_texts = tuple(texts[0] if len(texts) == 1 else self.spec.task for texts in self.tasks)
         chunks, files = table["data/chunk_index"].to_pylist(), table["data/file_index"].to_pylist()
         self._places = list(zip(chunks, files, strict=True))
         self._hashes = table["data/sha256"].to_pylist() if "data/sha256" in table.column_names else None
@@ -100,19 +119,20 @@ class Dataset:
         chosen = cameras or tuple(self.spec.cameras)
         frames = {camera: self._frames(items, camera, size=size) for camera in chosen}
         for index in items:
-            terminated = [self._terminated_key] if self.spec.has_terminations else []
-            rows = self._rows(index, [*self._action_columns, *terminated])
+            actions, terminated = self._actions_and_terminations(index)
             yield Trajectory(
                 frames={camera: next(each) for camera, each in frames.items()},
-                actions=decode_actions(rows, self.spec),
+                actions=actions,
                 skills=self.skills[index],
                 goal_text=self.goal_texts[index],
-                terminated=self._terminations(rows) if self.spec.has_terminations else None,
+                terminated=terminated,
             )
 
     def actions(self, index: int) -> Actions:
         """Returns the actions of one trajectory, float32 (T, A) or int64 (T, 1), without decoding its frames."""
-        return decode_actions(self._rows(range(len(self))[index], self._action_columns), self.spec)
+        index = range(len(self))[index]
+        with self._named(index):
+            return decode_actions(self._rows(index, [*self._action_columns]), self.spec, self._action_columns)
 
     def robot_state(self, index: int) -> State | None:
         """Returns the robot's own state in one trajectory, float32 (T, S) in its own units; None where it is not kept.
@@ -121,7 +141,14 @@ class Dataset:
         """
         if not self.spec.robot_state_size:
             return None
-        return decode_state(self._rows(range(len(self))[index], [layout.STATE_KEY]), self.spec)
+        index = range(len(self))[index]
+        with self._named(index):
+            return decode_state(self._rows(index, [*self._state_columns]), self._state_columns)
+
+    def stored_columns(self, index: int, names: Sequence[str]) -> pa.Table:
+        """Returns columns of a trajectory's data file as they are stored; raises InvalidInput where one is missing."""
+        with self._named(index):
+            return self._rows(index, list(names))
 
     def first_frames(self, items: Sequence[int], camera: str) -> Iterator[npt.NDArray[np.uint8]]:
         """Yields the first frame of some trajectories, uint8 (H, W, C); raises as `stream`."""
@@ -139,9 +166,12 @@ class Dataset:
 
     @cached_property
     def _data_sha256(self) -> str:
-        videos = (span.root / span.file for spans in self._videos.values() for span in spans)
-        files = dict.fromkeys([*map(self._path, self._places), *videos])
-        hashes = self._hashes or [_sha256(path) for path in files]
+        if self._hashes is not None:
+            return hashlib.sha256("\n".join(self._hashes).encode()).hexdigest()
+        spans = [span for spans in self._videos.values() for span in spans]
+        files = dict.fromkeys([*self._data_files, *(span.root / span.file for span in spans)])
+        listed = [self.episodes, self.lengths.tolist(), [span.start_s for span in spans]]
+        hashes = [*(_sha256(path) for path in files), json.dumps(listed)]
         return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
     def cached_frames(self, camera: str) -> StepCache[np.uint8]:
@@ -184,42 +214,97 @@ class Dataset:
         """
         if not self.spec.has_terminations:
             return None
-        parts = (self._terminations(self._rows(index, [self._terminated_key])) for index in range(len(self)))
+        parts = (cast(npt.NDArray[np.bool_], self._actions_and_terminations(index)[1]) for index in range(len(self)))
         path = self._cache_file("terminations")
         return open_or_build(path, dtype=np.dtype(np.bool_), shape=(), lengths=self.lengths, parts=parts)
 
-    @property
-    def _action_columns(self) -> list[str]:
-        return ["action"] if self.spec.has_actions else []
+    def _actions_and_terminations(self, index: int) -> tuple[Actions, npt.NDArray[np.bool_] | None]:
+        terminated = [self._terminated_key] if self.spec.has_terminations else []
+        with self._named(index):
+            rows = self._rows(index, [*self._action_columns, *terminated])
+            actions = decode_actions(rows, self.spec, self._action_columns)
+            return actions, decode_terminations(rows, key=self._terminated_key) if terminated else None
 
     def _rows(self, index: int, columns: list[str]) -> pa.Table:
-        rows = read_rows(self._path(self._places[index]), index=index, columns=columns)
+        """Returns the columns of a trajectory, from the file that `meta/` names, else from those that hold it."""
+        try:
+            return self._whole_rows(index, columns, [self._path(self._places[index])])
+        except InvalidInput:
+            others = self._holding(self.episodes[index]) if self._is_foreign else []
+            if not others or others == [self._path(self._places[index])]:
+                raise
+            return self._whole_rows(index, columns, others)
+
+    def _whole_rows(self, index: int, columns: list[str], paths: list[Path]) -> pa.Table:
+        rows = read_rows(paths, index=self.episodes[index], columns=columns)
         if len(rows) != self.lengths[index]:
             raise InvalidInput(
-                f"Trajectory {index} must have the {self.lengths[index]} timesteps that `meta/` names; "
-                f"its data file holds {len(rows)}.",
+                f"It must have the {self.lengths[index]} timesteps that `meta/` names; the data has {len(rows)}.",
                 hint="Run `freerein dataset verify`, and restore the broken file from a copy.",
             )
         return rows
+
+    def _holding(self, episode: int) -> list[Path]:
+        """Returns the data files that may hold an episode: some converters name others in the episodes table."""
+        return [
+            path
+            for path, ranges in self._ranges.items()
+            if any(least <= episode <= greatest for least, greatest in ranges)
+        ]
+
+    @cached_property
+    def _ranges(self) -> dict[Path, list[tuple[float, float]]]:
+        return {path: episode_ranges(path) for path in self._data_files}
+
+    @property
+    def _data_files(self) -> list[Path]:
+        return [self._path((each.chunk, each.file)) for each in layout.numbered_files(self._root / "data")]
 
     def _frames(
         self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None = None, most: int | None = None
     ) -> Iterator[npt.NDArray[np.uint8]]:
         """Yields the frames of one camera, uint8 (T, H, W, C), at most the first `most` of each trajectory."""
-        height, width, channels = self.spec.cameras[camera]
-        if camera in self._videos:
-            spans = [self._videos[camera][index] for index in items]
-            cut = [replace(span, length=min(span.length, most or span.length)) for span in spans]
-            yield from video_frames(cut, fps=self.spec.fps, size=(*(size or (height, width)), channels))
-            return
-        key = self._keys[camera]
+        read = self._video_frames if camera in self._videos else self._image_frames
+        frames = read(items, camera, size=size, most=most)
         for index in items:
-            rows = self._rows(index, [key]).slice(0, most)
-            frames = decode_frames(rows, camera_key=key, size=(height, width, channels))
+            with self._named(index, camera):
+                found = next(frames)
+            yield found
+
+    def _video_frames(
+        self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None, most: int | None
+    ) -> Iterator[npt.NDArray[np.uint8]]:
+        height, width, channels = self.spec.cameras[camera]
+        spans = [self._videos[camera][index] for index in items]
+        cut = [replace(span, length=min(span.length, most or span.length)) for span in spans]
+        return video_frames(cut, fps=self.spec.fps, size=(*(size or (height, width)), channels))
+
+    def _image_frames(
+        self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None, most: int | None
+    ) -> Iterator[npt.NDArray[np.uint8]]:
+        for index in items:
+            rows = self._rows(index, [self._keys[camera]]).slice(0, most)
+            frames = decode_frames(rows, camera_key=self._keys[camera], size=self.spec.cameras[camera])
             yield images.resize(frames, size) if size else frames
 
-    def _terminations(self, rows: pa.Table) -> npt.NDArray[np.bool_]:
-        return decode_terminations(rows, key=self._terminated_key)
+    @contextmanager
+    def _named(self, index: int, camera: str = "") -> Iterator[None]:
+        """Names a trajectory, and its file or camera, in the errors of the body."""
+        try:
+            yield
+        except (InvalidInput, UnsupportedMedia) as error:
+            place = f"camera `{camera}`" if camera in self._videos else self._file(index)
+            detail = f"Trajectory {self.episodes[index]}, {place}: {error.detail}"
+            raise type(error)(detail, field=error.field, hint=error.hint) from None
+        except MemoryError:
+            raise InvalidInput(
+                f"The {self.lengths[index]} frames of trajectory {self.episodes[index]} must fit into memory; they do "
+                "not.",
+                hint="Import the dataset with smaller ones, --size 96x128, or cut the trajectory.",
+            ) from None
+
+    def _file(self, index: int) -> str:
+        return f"`{self._path(self._places[index]).relative_to(self._root).as_posix()}`"
 
     def _path(self, place: tuple[int, int]) -> Path:
         return layout.numbered(self._root / "data", chunk=place[0], file=place[1])
@@ -229,5 +314,5 @@ class Dataset:
 
 
 def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
+    with corrupt_as_invalid(f"`{path.name}`"), open_regular(path, name=path.name) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from freerein.atomic_files import write_atomic
+from freerein.data import json_files
 from freerein.errors import InvalidInput
 
 _FILE = "tags.json"
@@ -18,15 +19,15 @@ class Tags:
 
     Attributes:
         skills: Skill names of the whole dataset; labels are indices into them.
-        by_trajectory: The skills that occur, sorted, by index of the trajectory; the others keep those of their files.
+        by_trajectory: The skills that occur, sorted, by `episode_index`; the others keep those of their files.
     """
 
     skills: tuple[str, ...]
     by_trajectory: Mapping[int, tuple[str, ...]]
 
-    def applied(self, recorded: Sequence[Sequence[str]]) -> list[list[str]]:
-        """Returns the skills of every trajectory, given those of the data files."""
-        return [list(self.by_trajectory.get(index, skills)) for index, skills in enumerate(recorded)]
+    def applied(self, episodes: Sequence[int], recorded: Sequence[Sequence[str]]) -> list[list[str]]:
+        """Returns the skills of every trajectory, given their `episode_index` and the skills of the data files."""
+        return [list(self.by_trajectory.get(*each)) for each in zip(episodes, recorded, strict=True)]
 
     @property
     def sha256(self) -> str:
@@ -44,7 +45,7 @@ def read(root: Path) -> Tags | None:
     if not path.is_file():
         return None
     try:
-        document = json.loads(path.read_bytes())
+        document = json_files.read(path, name=_FILE)
         tagged = {int(index): tuple(map(str, skills)) for index, skills in document["by_trajectory"].items()}
         return Tags(tuple(map(str, document["skills"])), tagged)
     except (ValueError, KeyError, TypeError, AttributeError):

@@ -6,7 +6,8 @@ footer under the key `freerein`, so that `meta/` can be rebuilt from the data fi
 
 import io
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +22,11 @@ import pyarrow.parquet as pq
 
 from freerein import images
 from freerein.atomic_files import write_atomic
-from freerein.data import layout, statistics
+from freerein.data import json_files, layout, statistics
 from freerein.data.layout import DatasetSpec, dumps, loads
 from freerein.data.statistics import FeatureStatistics
 from freerein.errors import InvalidInput
+from freerein.regular_files import open_regular
 from freerein.types.common import Image, Trajectory
 
 Actions: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.int64]
@@ -34,6 +36,7 @@ State: TypeAlias = npt.NDArray[np.float32]
 """The robot's own state, float32 (T, S), in units of its own."""
 
 _FOOTER_KEY = b"freerein"
+_EPISODE, _ORDER = "episode_index", "frame_index"
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,7 @@ def read_footer(file: BinaryIO, *, index: int) -> TrajectoryFooter | None:
         text = (metadata.metadata or {}).get(_FOOTER_KEY)
         if text is None:
             return None
-        footer = json.loads(text)
+        footer = json_files.parse(text)
         return TrajectoryFooter(
             spec=loads(json.dumps(footer["spec"])),
             length=metadata.num_rows,
@@ -106,14 +109,47 @@ def read_footer(file: BinaryIO, *, index: int) -> TrajectoryFooter | None:
         )
 
 
-def read_rows(path: Path, *, index: int, columns: list[str]) -> pa.Table:
-    """Returns the columns, and `episode_index`, of trajectory `index`; the file may hold others."""
-    with corrupt_as_invalid(f"Trajectory {index}"), path.open("rb") as file:
+def read_rows(paths: Sequence[Path], *, index: int, columns: Sequence[str]) -> pa.Table:
+    """Returns the columns, and `episode_index`, of episode `index`, ordered by `frame_index`; files may hold others.
+
+    Raises InvalidInput where a file is missing or corrupt, or timesteps are missing or there twice.
+    """
+    parts = [_rows_of(path, index, columns) for path in paths]
+    with corrupt_as_invalid("The data file"):
+        rows = pa.concat_tables(parts, promote_options="permissive") if len(parts) > 1 else parts[0]
+        return _in_order(rows).select(list(dict.fromkeys([*columns, _EPISODE]))).combine_chunks()
+
+
+def _rows_of(path: Path, index: int, columns: Sequence[str]) -> pa.Table:
+    """Returns the columns of an episode, and its `frame_index` where there is one, in the order of the file."""
+    with corrupt_as_invalid("The data file"), open_regular(path, name=path.name) as file:
         parquet = pq.ParquetFile(file, page_checksum_verification=True)
         groups = [group for group in range(parquet.num_row_groups) if _may_hold(parquet, group, index)]
-        names = list(dict.fromkeys([*columns, "episode_index"]))
+        order = [_ORDER] if _ORDER in parquet.schema_arrow.names else []
+        names = list(dict.fromkeys([*columns, *order, _EPISODE]))
         table = parquet.read_row_groups(groups, columns=names, use_threads=False).select(names)
-        return table.filter(pc.equal(table["episode_index"], index)).combine_chunks()
+        return table.filter(pc.equal(table[_EPISODE], index))
+
+
+def _in_order(rows: pa.Table) -> pa.Table:
+    """Returns rows in the order of their `frame_index`, which must count from 0; as they are where there is none."""
+    if _ORDER not in rows.column_names:
+        return rows
+    numbers = _flat(rows[_ORDER]).to_numpy(zero_copy_only=False)
+    expected = np.arange(len(rows))
+    if np.array_equal(numbers, expected):
+        return rows
+    order = np.argsort(numbers, kind="stable")
+    wrong = np.flatnonzero(numbers[order] != expected) if len(numbers) == len(rows) else expected
+    if len(wrong):
+        first = wrong[0]
+        is_twice = first > 0 and numbers[order][first] == first - 1
+        raise InvalidInput(
+            f"Timesteps must have a `{_ORDER}` from 0 on, each once; "
+            f"{f'{first - 1} is there twice' if is_twice else f'{first} is missing'}.",
+            hint="Record the trajectory again, or leave it out.",
+        )
+    return rows.take(order)
 
 
 def decode_frames(rows: pa.Table, *, camera_key: str, size: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
@@ -135,18 +171,17 @@ def decode_frames(rows: pa.Table, *, camera_key: str, size: tuple[int, int, int]
     return frames
 
 
-def decode_actions(rows: pa.Table, spec: DatasetSpec) -> Actions:
-    """Returns the actions, float32 (T, A) or int64 (T, 1); float32 (T, 0) of a dataset without."""
-    if not spec.has_actions:
-        return np.empty((len(rows), 0), np.float32)
-    values = _vectors(rows, "action", spec.action.size, subject="an action")
+def decode_actions(rows: pa.Table, spec: DatasetSpec, columns: Mapping[str, int]) -> Actions:
+    """Returns the actions, float32 (T, A) or int64 (T, 1), of columns of these sizes; (T, 0) of a dataset without."""
+    parts = [_vectors(rows, key, size) for key, size in columns.items()]
+    values = np.concatenate(parts, axis=1) if parts else np.empty((len(rows), 0))
     return cast(Actions, values.astype(spec.action.dtype))
 
 
-def decode_state(rows: pa.Table, spec: DatasetSpec) -> State:
-    """Returns the robot's own state, float32 (T, S)."""
-    values = _vectors(rows, layout.STATE_KEY, spec.robot_state_size, subject="a state of the robot")
-    return values.astype(np.float32)
+def decode_state(rows: pa.Table, columns: Mapping[str, int]) -> State:
+    """Returns the robot's own state, float32 (T, S), of columns of these sizes."""
+    parts = [_vectors(rows, key, size) for key, size in columns.items()]
+    return np.concatenate(parts, axis=1).astype(np.float32)
 
 
 def decode_terminations(rows: pa.Table, *, key: str) -> npt.NDArray[np.bool_]:
@@ -171,7 +206,7 @@ def write_labels(path: Path, labels: npt.NDArray[np.int64]) -> None:
 
 def read_labels(path: Path, *, index: int) -> npt.NDArray[np.int64]:
     """Returns the per-timestep labels of trajectory `index`, int64 (T,)."""
-    with corrupt_as_invalid(f"The labels of trajectory {index}"), path.open("rb") as file:
+    with corrupt_as_invalid(f"The labels of trajectory {index}"), open_regular(path, name=path.name) as file:
         table = pq.ParquetFile(file, page_checksum_verification=True).read(use_threads=False)
         labels: npt.NDArray[np.int64] = table["label"].to_numpy().astype(np.int64)
         return labels
@@ -182,7 +217,7 @@ def corrupt_as_invalid(subject: str) -> Iterator[None]:
     """Raises InvalidInput where the body fails to read a parquet or JSON file."""
     try:
         yield
-    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError):
+    except (pa.ArrowException, OSError, ArithmeticError, LookupError, TypeError, ValueError):
         raise InvalidInput(
             f"{subject} must be a whole file with the contents that LeRobot's format names; "
             "it is missing, truncated or corrupt.",
@@ -196,12 +231,12 @@ def _flat(column: pa.ChunkedArray) -> pa.Array:
     return joined.flatten() if pa.types.is_nested(joined.type) else joined
 
 
-def _vectors(rows: pa.Table, key: str, size: int, *, subject: str) -> npt.NDArray[Any]:
-    """Returns a column of vectors, (T, size); `subject` names one of them in the error."""
+def _vectors(rows: pa.Table, key: str, size: int) -> npt.NDArray[Any]:
+    """Returns a column of vectors, (T, size)."""
     flat = _flat(rows[key])
     if flat.null_count or len(flat) != len(rows) * size:
         raise InvalidInput(
-            f"Every timestep must have {subject} of {size} numbers; the data file holds "
+            f"Every timestep must have {size} numbers in `{key}`; the data file holds "
             f"{len(flat) - flat.null_count} for {len(rows)} timesteps.",
             hint="Record the trajectory again.",
         )
@@ -209,11 +244,26 @@ def _vectors(rows: pa.Table, key: str, size: int, *, subject: str) -> npt.NDArra
     return values
 
 
+def episode_ranges(path: Path) -> list[tuple[float, float]]:
+    """Returns the least and greatest episode of each row group of a data file, by its footer; none of a corrupt one."""
+    try:
+        with open_regular(path, name=path.name) as file:
+            parquet = pq.ParquetFile(file)
+            return [_episode_range(parquet, group) for group in range(parquet.num_row_groups)]
+    except (pa.ArrowException, OSError, ValueError, InvalidInput):
+        return []
+
+
 def _may_hold(parquet: pq.ParquetFile, group: int, index: int) -> bool:
     """Returns whether a row group may hold rows of a trajectory, by its statistics where it has them."""
-    position = parquet.schema.names.index("episode_index")
+    least, greatest = _episode_range(parquet, group)
+    return least <= index <= greatest
+
+
+def _episode_range(parquet: pq.ParquetFile, group: int) -> tuple[float, float]:
+    position = parquet.schema.names.index(_EPISODE)
     bounds = parquet.metadata.row_group(group).column(position).statistics
-    return bounds is None or not bounds.has_min_max or bool(bounds.min <= index <= bounds.max)
+    return (bounds.min, bounds.max) if bounds is not None and bounds.has_min_max else (-math.inf, math.inf)
 
 
 def _index_columns(

@@ -21,7 +21,7 @@ def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
     """Returns the true skill at each timestep of a trajectory.
 
     Returns:
-        int64 (T,), indices into the `skills` of the dataset's spec.
+        int64 (T,), indices into the `skills` of the dataset's spec; -1 where people labelled a part of it.
 
     Raises:
         NotFound: There is no such trajectory, or no labels were recorded with it.

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +16,6 @@ BOUNDS = VideoBounds(frames=10_000_000, memory_bytes=2**31, cpu_s=86_400, silenc
 
 _TOLERANCE = 0.25
 """Of the time between frames: time stamps are sums of rounded numbers, yet never nearer to another frame."""
-
-_ROUNDING_S = 1e-3
-"""By how much a frame may begin after a timestep that shows it: files have times in milliseconds, or finer ones."""
-
-_LONGEST_GAP_S = 60.0
-"""Between two frames; broken time stamps have longer ones."""
 
 
 @dataclass(frozen=True)
@@ -67,37 +60,6 @@ def video_frames(
             for index, frame in enumerate(_at_times(frames, span, fps)):
                 found[index], position_s = frame.pixels, frame.time_s
             yield found
-
-
-def frames_at_rate(video: Iterable[VideoFrame], *, fps: int, file: str) -> Iterator[npt.NDArray[np.uint8]]:
-    """Yields the frame, uint8 (H, W, C), that a video shows at each time 0, 1 / fps, ... since its first, to its last.
-
-    A frame is repeated while the next one is not due, and left out where others are shown before and after it.
-
-    Args:
-        video: Its frames, at least one.
-        fps: Timesteps per second.
-        file: Name of the video, for errors.
-
-    Raises:
-        InvalidInput: There is no frame for more than a minute.
-    """
-    frames = iter(video)
-    shown = first = next(frames)
-    following = next(frames, None)
-    for index in count():
-        time_s = first.time_s + index / fps
-        while following is not None and following.time_s <= time_s + _ROUNDING_S:
-            shown, following = following, next(frames, None)
-        if following is None and time_s > shown.time_s + _ROUNDING_S:
-            return
-        if following is not None and following.time_s - shown.time_s > _LONGEST_GAP_S:
-            raise InvalidInput(
-                f"`{file}` must have a frame at least every {_LONGEST_GAP_S:g} s; after {shown.time_s:.3f} s there is "
-                f"none until {following.time_s:.3f} s.",
-                hint="Cut it, or give it times again: ffmpeg -i IN -vf setpts=N/FPS/TB -c:v libx264 OUT.mp4.",
-            )
-        yield shown.pixels
 
 
 def joined(frames: Iterable[npt.NDArray[np.uint8]], size: tuple[int, int, int]) -> npt.NDArray[np.uint8]:

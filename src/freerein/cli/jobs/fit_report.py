@@ -17,7 +17,7 @@ from freerein.clients import SegmentationClient
 from freerein.data import Dataset, truth
 from freerein.errors import FailedPrecondition
 from freerein.types.learning import Fit
-from freerein.types.segmentation import SegmentRequest
+from freerein.types.segmentation import NO_SKILL, SegmentRequest
 
 _UNKNOWN = -1
 
@@ -28,7 +28,7 @@ class LabelledAccuracy:
 
     Attributes:
         trajectories: Their number.
-        timesteps: Number of their timesteps.
+        timesteps: Number of their labelled timesteps.
         frame_accuracy: Fraction of correctly labelled timesteps.
         random_cls_accuracy: That of guessing among the skills that occur in each.
     """
@@ -66,8 +66,10 @@ async def labelled_accuracy(client: SegmentationClient, fit: Fit, root: Path, it
         filled = replace(request, frames=trajectory.frames[camera], actions=trajectory.actions)
         answer = await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S)
         names = np.array([_place(skill, dataset.spec.skills) for skill in answer.skills], np.int64)
-        predicted.append(names[answer.labels])
-        labels.append(truth.labels(root, index))
+        true = truth.labels(root, index)
+        is_known = true != NO_SKILL
+        predicted.append(names[answer.labels][is_known])
+        labels.append(true[is_known])
         random.append(metrics.random_cls_accuracy(labels[-1]) * len(labels[-1]))
     joined = np.concatenate(labels)
     if np.all(np.concatenate(predicted) == _UNKNOWN):
