@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import theilslopes
 
 MOST_MIB_PER_10K_CALLS = 1.0
 _FEWEST_SAMPLES = 10
@@ -31,6 +30,8 @@ def growth_mib_per_10k_calls(samples: Sequence[Sample]) -> float:
     Raises:
         ValueError: There are fewer than 10 samples after the warm-up, or they were all taken at one number of calls.
     """
+    from scipy.stats import theilslopes  # takes a second to import, which a soak has and its tests have not
+
     kept = samples[len(samples) // 3 :]
     calls = np.array([sample.calls for sample in kept])
     if len(kept) < _FEWEST_SAMPLES or np.ptp(calls) == 0:

@@ -31,6 +31,7 @@ class LeakyModel:
     def __init__(self, model: SkillModel) -> None:
         self._model = model
         self.skills, self.camera, self.action, self.lag = model.skills, model.camera, model.action, model.lag
+        self.fps = model.fps
         self._kept: list[bytearray] = []
 
     def predict(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> Prediction:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from freerein.cli.demo.pictures import (
     FilmstripGoal,
@@ -33,6 +32,8 @@ def example(similarities: list[float]) -> RewardExample:
 
 
 def drawn(figure: Any) -> Any:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     FigureCanvasAgg(figure).draw()
     return figure
 
