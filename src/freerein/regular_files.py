@@ -3,8 +3,8 @@
 import errno
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from freerein.errors import InvalidInput
 
@@ -21,7 +21,7 @@ _KINDS = {
 }
 
 
-def open_regular(path: Path, *, name: str) -> BinaryIO:
+def open_regular(path: Path, *, name: str) -> BufferedReader:
     """Returns a regular file, opened for reading; raises as `regular_descriptor`."""
     return os.fdopen(regular_descriptor(path, name=name), "rb")
 

@@ -154,7 +154,7 @@ LEARNING_CASES = (
 class Halves:
     """A model of two skills: the first half of a trajectory is one, the second the other. It fails where told to."""
 
-    skills, lag = ("close", "open"), None
+    skills, lag, fps = ("close", "open"), None, 10.0
     camera, action = Camera("front", 2, 3, 3), ActionSpec(2, 0, ("dy", "dz"))
 
     def predict(self, frames: npt.NDArray[np.uint8], actions: npt.NDArray[Any] | None) -> Prediction:
@@ -222,6 +222,8 @@ SEGMENTATION_CASES = (
     segment("invalid_input", smoothing=-1.0),
     segment("invalid_input", min_confidence=1.5),
     segment("invalid_input", min_confidence=-0.5),
+    segment("invalid_input", fps=-1.0),
+    segment("invalid_input", fps=240.5),
     segment("too_large", frames=np.zeros((20_001, 1, 1, 1), np.uint8)),
     segment("model_fault", frames=FRAMES + np.uint8(1)),
     segment("output_not_finite", frames=FRAMES + np.uint8(2)),

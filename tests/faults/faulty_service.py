@@ -38,7 +38,7 @@ class FaultyModel:
     """Answers even and odd, unless told otherwise; `FAULTY_SIDE` is the side of its frames."""
 
     skills: tuple[str, ...] = ("even", "odd")
-    lag = None
+    lag, fps = None, 0.0
     camera, action = Camera("front", SIDE, SIDE, 3), None
 
     def __init__(self, gate: Path) -> None:

@@ -43,10 +43,10 @@ SPEC = ModelSpec(
     use_actions=False,
     context=LAG,
 )
-WHOLE = ModelRef("whole")
+WHOLE, TEN_PER_SECOND = ModelRef("whole"), ModelRef("ten-per-second")
 
 
-def publish(data_dir: Path, name: str, spec: ModelSpec) -> None:
+def publish(data_dir: Path, name: str, spec: ModelSpec, **data: float) -> None:
     network = SegmentationNetwork(spec)
     weights.initialise(network, generator=torch.Generator().manual_seed(0))
     frames = {"front": torch.from_numpy(trajectory(120))}
@@ -55,7 +55,7 @@ def publish(data_dir: Path, name: str, spec: ModelSpec) -> None:
         network.head.weight.mul_(30)
         scores, _ = network(frames, torch.zeros(120, 2), torch.tensor([120]))
         network.head.bias -= scores[0].mean(dim=0)
-    save_model(network, data_dir / "unpublished", card={"method": "set_supervised"})
+    save_model(network, data_dir / "unpublished", card={"method": "set_supervised", "data": data})
     store = ModelStore(data_dir / "models" / "segmentation")
     store.activate(store.publish(name, data_dir / "unpublished"))
 
@@ -74,6 +74,7 @@ def service(start_module_service: Callable[..., Any], tmp_path_factory: pytest.T
     data_dir = tmp_path_factory.mktemp("data")
     publish(data_dir, "", SPEC)
     publish(data_dir, "whole", replace(SPEC, context="all"))
+    publish(data_dir, TEN_PER_SECOND.name, SPEC, fps=10)
     service = start_module_service("freerein_segmentation", data_dir, FREEREIN_WRITE_S="20", FREEREIN_UNARY_S="600")
     while not service.is_ready():
         pass
@@ -256,6 +257,26 @@ async def test_a_video_has_the_labels_of_its_frames_over_grpc_and_rest(
     async with httpx.AsyncClient(base_url=service.url, timeout=300, trust_env=False) as rest:
         over_rest = (await rest.post("/v1/segment", files=files, data=fields)).json()
     assert over_rest["labels"] == expected.labels.tolist()
+
+
+async def test_a_video_is_labelled_at_the_rate_that_the_model_was_trained_on_or_another_over_grpc_and_rest(
+    service: Any, client: Any, encode_video: Callable[..., bytes], frames: npt.NDArray[np.uint8]
+) -> None:
+    faster = encode_video(frames[:60].repeat(3, axis=0).repeat(3, axis=3), fps=30)
+    every = await client.segment(SegmentRequest(video=faster))
+    assert (len(every.labels), every.fps) == (180, 0)  # a model that does not know its rate
+    assert (await client.list_skills(ListSkillsRequest(TEN_PER_SECOND))).fps == 10
+    for fps, count in ((0, 60), (30, 180), (5, 30)):
+        answer = await client.segment(SegmentRequest(TEN_PER_SECOND, video=faster, fps=fps))
+        rate = fps or 10
+        assert (len(answer.labels), answer.fps, answer.model.name) == (count, rate, TEN_PER_SECOND.name)
+        assert answer.time_s == pytest.approx(np.arange(count) / rate)
+        query = {"model.name": TEN_PER_SECOND.name, "fps": str(fps)}
+        async with httpx.AsyncClient(base_url=service.url, timeout=300, trust_env=False) as rest:
+            over_rest = (await rest.post("/v1/segment", files={"video": ("demo.mp4", faster)}, data=query)).json()
+        assert (over_rest["labels"], over_rest["fps"]) == (answer.labels.tolist(), rate)
+    with pytest.raises(InvalidInput, match=r"`fps` must be in \[0, 240\]"):
+        await client.segment(SegmentRequest(video=faster, fps=241))
 
 
 @pytest.mark.fault("S10")

@@ -56,6 +56,11 @@ def test_the_share_of_timesteps_unlike_the_fit_is_shown_where_there_are_many(
     assert "25% of the timesteps are probably unlike" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("fps", "trained", "is_warned"), [(30, 10, True), (10, 10, False), (30, 0, False)])
+def test_a_dataset_of_another_rate_than_the_model_is_warned_of(fps: float, trained: float, is_warned: bool) -> None:
+    assert ("--fps 10" in timeline.rate_warning(fps, trained)) == is_warned
+
+
 def test_a_picture_is_drawn_with_and_without_frames(tmp_path: Path) -> None:
     labelled = at_rate(answer(Segment(0, 4, "push", 0.9), timesteps=6), fps=10)
     for name, film in (("with", [np.zeros((4, 6, 1), np.uint8)] * 3), ("without", [])):
@@ -87,6 +92,10 @@ def test_a_video_file_is_labelled_drawn_and_subtitled(
 
     assert document["labels"] == [0] * 8
     assert document["time_s"] == pytest.approx(np.arange(8) / 10)
+    assert document["fps"] == 0  # the model does not know its rate
+    slower = json.loads(run(str(demo), "--resize", "--fps", "5", "--json", "--png", str(png)).stdout)
+    assert (slower["labels"], slower["fps"], slower["time_s"][1]) == ([0] * 4, 5, pytest.approx(0.2))
+    assert "4 timesteps, 5 per second, " in run(str(demo), "--resize", "--fps", "5").stdout
     assert png.stat().st_size > 0
     assert vtt.read_text() == "WEBVTT\n\n00:00:00.000 --> 00:00:00.800\neven\n"
     shown = run(str(demo), "--resize", "--min-kept", "9").stdout
@@ -105,6 +114,8 @@ def test_a_video_file_is_labelled_drawn_and_subtitled(
         (["demo.mp4", "--index", "0"], "index"),
         (["demo.mp4", "--camera", "top"], "camera"),
         (["demos", "--resize"], "resize"),
+        (["demos", "--fps", "10"], "fps"),
+        (["demo.MOV", "--save"], "save"),
         (["demos", "--actions", "actions.csv"], "actions"),
         (["demos", "--save", "--index", "0"], "index"),
         (["demos", "--save", "--png", "timeline.png"], "png"),

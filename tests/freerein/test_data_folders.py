@@ -11,9 +11,9 @@ import pytest
 
 from freerein.data import Dataset, FolderSource, ImageSource, check, import_trajectories, open_writer, verify
 from freerein.data.recordings import find_recordings
-from freerein.data.videos import frames_at_rate, joined
+from freerein.data.videos import joined
 from freerein.errors import InvalidInput, NotFound, ServiceError
-from freerein.video import VideoFrame
+from freerein.video import VideoFrame, frames_at_rate
 
 SIZE = (12, 16)
 FIRST_LINES = ("nan,nan\n1,2\n", "0.5,inf\n1,2\n", "1,left\n1,2\n", "1e39,2\n1,2\n")
@@ -121,7 +121,9 @@ def test_a_video_is_a_trajectory_at_the_rate_asked_for(tmp_path: Path, encode_vi
 )
 def test_a_video_is_shown_at_its_own_times(times_s: list[float], fps: int, shown: list[int]) -> None:
     video = [VideoFrame(time_s, np.array(index, np.uint8)) for index, time_s in enumerate(times_s)]
-    assert [int(pixels) for pixels in frames_at_rate(video, fps=fps, file="demo.mp4")] == shown
+    sampled = list(frames_at_rate(video, fps=fps, file="demo.mp4"))
+    assert [int(frame.pixels) for frame in sampled] == shown
+    assert [frame.time_s for frame in sampled] == pytest.approx([times_s[0] + t / fps for t in range(len(shown))])
 
 
 def test_frames_are_joined_without_holding_them_twice() -> None:

@@ -92,7 +92,8 @@ def test_a_model_asked_in_a_unit_of_its_own_equals_one_asked_in_scaled_actions()
 
 
 def test_the_card_says_how_well_tags_of_held_out_trajectories_are_told(fitted: Fitted) -> None:
-    _, card = fitted
+    model, card = fitted
+    assert (model.fps, card["data"]["fps"]) == (10, 10)
     each = card["tag_average_precision"]
     assert (card["held_out"], set(each)) == (12, set(SKILLS))
     assert all(0 < figures["chance"] < 1 and figures["average_precision"] > 0.9 for figures in each.values())

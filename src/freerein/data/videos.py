@@ -47,7 +47,7 @@ def video_frames(
 
     Raises:
         InvalidInput: A file is missing or corrupt, or lacks a frame at one of the times.
-        UnsupportedMedia: It is not mp4, or neither H.264 nor AV1.
+        UnsupportedMedia: As `open_video`.
         Unimplemented: No decoder is installed.
     """
     with ExitStack() as opened:

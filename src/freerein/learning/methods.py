@@ -151,7 +151,11 @@ class Methods(Generic[M_co]):
             "method": name,
             "command": f"freerein fit {self.service} DATASET{self._options(name, learner.config)}",
             "task": source.dataset.spec.task,
-            "data": {"trajectories": len(source.dataset), "fingerprint": learner.fingerprint},
+            "data": {
+                "trajectories": len(source.dataset),
+                "fps": source.dataset.spec.fps,
+                "fingerprint": learner.fingerprint,
+            },
             "config": asdict(learner.config),
             "figures": fitted.figures,
         }

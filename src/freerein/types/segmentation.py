@@ -22,15 +22,18 @@ class SegmentRequest:
     Attributes:
         frames: uint8 (T, H, W, C), C = 1 or 3. Exactly one of `frames`, `images` and `video` is given.
         images: Encoded images, one per timestep, all of one size.
-        actions: float32 (T, A) or int64 (T, 1), as in training; None for a model without actions.
+        actions: float32 (T, A) or int64 (T, 1), as in training, one per timestep; None for a model without actions.
         min_segment: Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all.
         smoothing: Standard deviation of the temporal Gaussian filter, in timesteps; 0 for none.
         min_kept: Shortest segment in timesteps that is kept, after merging; the timesteps of shorter ones are
             rejected: they have no skill. 0 and 1 keep all.
-        video: An mp4 file with H.264 or AV1, a frame per timestep, in the model's size unless `resize` is set.
+        video: An mp4 or mov file, in the model's size unless `resize` is set. Its timesteps are what it shows at `fps`
+            times per second; frames are left out, or repeated.
         resize: Whether frames of `video` are resized to the model's height and width, whatever their aspect ratio.
         min_confidence: Least confidence that is kept, in [0, 1], before short segments are rejected; timesteps below it
             have no skill. 0 keeps all.
+        fps: Timesteps per second of `video`; 0 for those that the model was trained on. Where these are unknown, too,
+            each frame is a timestep.
     """
 
     model: ModelRef = ModelRef()
@@ -43,6 +46,7 @@ class SegmentRequest:
     video: bytes = b""
     resize: bool = False
     min_confidence: float = 0.0
+    fps: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,9 @@ class SegmentResponse:
             data; see `freerein.learning.in_distribution`.
         segments: In order, without overlap; between them lie the rejected timesteps. Without rejection they cover
             [0, T).
-        time_s: float32 (T,), when each frame of a `video` is shown, in seconds; (0,) for the other forms.
+        time_s: float32 (T,), when each timestep of a `video` is, in seconds; (0,) for the other forms.
+        fps: Timesteps per second at which `video` was sampled; 0 where each frame was a timestep, and for the other
+            forms.
     """
 
     labels: npt.NDArray[np.int64]
@@ -83,6 +89,7 @@ class SegmentResponse:
     model: ModelRef
     timing: Timing
     time_s: npt.NDArray[np.float32] = field(default_factory=lambda: np.empty(0, np.float32))
+    fps: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -103,6 +110,7 @@ class ListSkillsResponse:
         lag: Timesteps after a timestep that its prediction depends on; None for a model of whole trajectories, which
             has no streams.
         camera: Name of the camera whose frames the model was trained on, as in its dataset.
+        fps: Timesteps per second of what the model was trained on; 0 where its card does not say.
     """
 
     skills: tuple[str, ...]
@@ -114,6 +122,7 @@ class ListSkillsResponse:
     action_choices: int
     lag: int | None = None
     camera: str = ""
+    fps: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ class _Turn:
     @classmethod
     def of(cls, frame: av.VideoFrame) -> "_Turn":
         """Returns the turn of a frame; an angle between quarters of a turn is rounded to the nearest."""
-        data = frame.side_data.get("DISPLAYMATRIX")
+        data: Any = frame.side_data.get("DISPLAYMATRIX")
         if data is None:
             return cls()
         # A column x and row y of the file are shown in the column a x + c y and the row b x + d y.
@@ -172,7 +172,8 @@ def _pixels(
     resized = reformatter.reformat(
         frame, width or frame.width, height or frame.height, "rgb24", interpolation="AREA", threads=1
     )
-    rgb = turn.applied(resized.to_ndarray())  # (H, W, 3)
+    decoded: npt.NDArray[np.uint8] = np.asarray(resized.to_ndarray(), np.uint8)
+    rgb = turn.applied(decoded)  # (H, W, 3)
     if options.channels == 3:
         return rgb
     return ((rgb @ _LUMA + 500) // 1000).astype(np.uint8)[:, :, None]  # (H, W, 1)

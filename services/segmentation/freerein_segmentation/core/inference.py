@@ -34,12 +34,14 @@ class SkillModel(Protocol):
         camera: The camera whose frames it takes.
         action: The action space; None for a model without actions.
         lag: Timesteps after a timestep that its prediction depends on; None for a model of whole trajectories.
+        fps: Timesteps per second of what it was trained on; 0 where unknown.
     """
 
     skills: tuple[str, ...]
     camera: Camera
     action: ActionSpec | None
     lag: int | None
+    fps: float
 
     def predict(self, frames: Pixels, actions: Actions) -> Prediction:
         """Returns the prediction for frames (T, H, W, C) and actions (T, A), in bounded memory."""

@@ -16,9 +16,10 @@ from freerein_segmentation.core.inference import Actions, Pixels, SkillModel
 MAX_TIMESTEPS = 20_000
 MAX_MIN_SEGMENT = 1_000
 MAX_SMOOTHING = 100.0
+MAX_FPS = 240.0
 
 
-def check_options(smoothing: float, min_confidence: float, **lengths: int) -> None:
+def check_options(smoothing: float, min_confidence: float, *, fps: float = 0.0, **lengths: int) -> None:
     """Raises InvalidInput when an option, or a length of segments of the name given, is out of bounds."""
     for name, length in lengths.items():
         if length > MAX_MIN_SEGMENT:
@@ -32,6 +33,12 @@ def check_options(smoothing: float, min_confidence: float, **lengths: int) -> No
             f"`smoothing` must be in [0, {MAX_SMOOTHING:g}] timesteps; got {smoothing:g}.",
             field="smoothing",
             hint="One or two timesteps are usual.",
+        )
+    if not 0.0 <= fps <= MAX_FPS:
+        raise InvalidInput(
+            f"`fps` must be in [0, {MAX_FPS:g}] timesteps per second; got {fps:g}.",
+            field="fps",
+            hint="Leave it 0 for the rate that the model was trained on.",
         )
     if not 0.0 <= min_confidence <= 1.0:
         raise InvalidInput(
@@ -103,6 +110,16 @@ def checked_actions(action: ActionSpec, actions: Actions, timesteps: int | None)
     return actions
 
 
+def check_length(timesteps: int, *, field: str) -> None:
+    """Raises TooLarge for a trajectory of too many timesteps."""
+    if timesteps > MAX_TIMESTEPS:
+        raise TooLarge(
+            f"A trajectory must have at most {MAX_TIMESTEPS} timesteps; got {timesteps}.",
+            field=field,
+            hint="Send a stream (SegmentStream), or the trajectory in parts.",
+        )
+
+
 def _decode(encoded: Sequence[Image], camera: Camera) -> Pixels:
     if len(encoded) > MAX_TIMESTEPS:
         raise InvalidInput(
@@ -129,12 +146,7 @@ def _decode(encoded: Sequence[Image], camera: Camera) -> Pixels:
 
 
 def _check_frames(camera: Camera, frames: Pixels) -> None:
-    if len(frames) > MAX_TIMESTEPS:
-        raise TooLarge(
-            f"A trajectory must have at most {MAX_TIMESTEPS} timesteps; got {len(frames)}.",
-            field="frames",
-            hint="Send a stream (SegmentStream), or the trajectory in parts.",
-        )
+    check_length(len(frames), field="frames")
     expected = (camera.height, camera.width, camera.channels)
     if frames.shape[1:] != expected:
         raise InvalidInput(

@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Awaitable
 from contextlib import aclosing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,13 @@ from freerein_segmentation.core.inference import (
     WholeTrajectory,
     Work,
 )
-from freerein_segmentation.core.inputs import check_one_form, check_options, checked_actions, read_timesteps
+from freerein_segmentation.core.inputs import (
+    check_length,
+    check_one_form,
+    check_options,
+    checked_actions,
+    read_timesteps,
+)
 from freerein_segmentation.core.video_decoding import VideoDecoding
 from freerein_segmentation.model import Prediction
 
@@ -62,12 +68,17 @@ class Segmenter:
         """
         timer = CallTimer()
         check_options(
-            request.smoothing, request.min_confidence, min_segment=request.min_segment, min_kept=request.min_kept
+            request.smoothing,
+            request.min_confidence,
+            fps=request.fps,
+            min_segment=request.min_segment,
+            min_kept=request.min_kept,
         )
         ref, model = await self.models.resolve(request.model)
-        time_s = np.empty(0, np.float32)
+        time_s, fps = np.empty(0, np.float32), 0.0
         if request.video:
-            prediction, time_s = await self._predict_video(ref, model, request, timer)
+            fps = request.fps or model.fps
+            prediction, time_s = await self._predict_video(ref, model, replace(request, fps=fps), timer)
         else:
             frames, actions = await timer.decode(read_timesteps(model, request))
             prediction = await timer.infer(self._submit(WholeTrajectory(model, frames, actions), ref))
@@ -81,39 +92,42 @@ class Segmenter:
             min_kept=request.min_kept,
         )
         return SegmentResponse(
-            labels, confidence, prediction.in_distribution, segments, model.skills, ref, timer.timing(), time_s
+            labels, confidence, prediction.in_distribution, segments, model.skills, ref, timer.timing(), time_s, fps
         )
 
     async def _predict_video(
         self, ref: ModelRef, model: SkillModel, request: SegmentRequest, timer: CallTimer
     ) -> tuple[Prediction, npt.NDArray[np.float32]]:
-        """Returns the prediction for the frames of a video, and their times, float32 (T,)."""
+        """Returns the prediction for the timesteps of a video, and their times, float32 (T,)."""
         check_one_form(request)
         actions = None if model.action is None else checked_actions(model.action, request.actions, None)
         parts, times, count = [], [np.empty(0, np.float32)], 0
-        async with aclosing(self.videos.frames(request.video, model.camera, resize=request.resize)) as chunks:
+        sampled = self.videos.frames(request.video, model.camera, resize=request.resize, fps=request.fps)
+        async with aclosing(sampled) as chunks:
             while chunk := await timer.decode(anext(chunks, None)):
                 at = slice(count, count + len(chunk.frames))
                 count = at.stop
+                check_length(count, field="video")
                 did = None if actions is None else actions[at]
                 if did is not None and len(did) < len(chunk.frames):
                     break
                 parts.append(await timer.infer(self._submit(Encoding(model, chunk.frames, did), ref)))
                 times.append(chunk.time_s)
         if actions is not None and len(actions) != count:
-            raise _unequal(len(actions), count)
+            raise _unequal(len(actions), count, request.fps)
         return await timer.infer(self._submit(EncodedTrajectory(model, parts), ref)), np.concatenate(times)
 
     def _submit(self, work: Work, ref: ModelRef) -> Awaitable[BatchResult[Any]]:
         return self.batcher.submit(work, key=ref, timeout_s=self.timeout_s)
 
 
-def _unequal(actions: int, frames: int) -> InvalidInput:
-    least = "at least " if frames > actions else ""
+def _unequal(actions: int, timesteps: int, fps: float) -> InvalidInput:
+    least, rate = "at least " if timesteps > actions else "", f", {fps:g} per second" if fps else ""
     return InvalidInput(
-        f"`actions` must have a row for each frame of the video; got {actions} rows for {least}{frames} frames.",
+        f"`actions` must have a row for each timestep of the video{rate}; got {actions} rows for {least}{timesteps} "
+        "timesteps.",
         field="actions",
-        hint="Send the executed action of each frame.",
+        hint="Send the executed action of each, at the rate that the model was trained on, or say another: `fps`.",
     )
 
 
@@ -129,4 +143,5 @@ def describe(ref: ModelRef, model: SkillModel) -> ListSkillsResponse:
         action_choices=model.action.choices if model.action else 0,
         lag=model.lag,
         camera=model.camera.name,
+        fps=model.fps,
     )

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 from freerein.serving.limits import Slots
 from freerein.types.common import Camera
-from freerein.video import Video, VideoFrame, open_video
+from freerein.video import Video, VideoFrame, frames_at_rate, open_video
 
 T = TypeVar("T")
 
@@ -41,8 +41,12 @@ class VideoDecoding:
         self._slots = Slots(videos, "videos may be decoded")
         self._threads = ThreadPoolExecutor(videos, "video")
 
-    async def frames(self, data: bytes, camera: Camera, *, resize: bool) -> AsyncGenerator[VideoChunk, None]:
-        """Yields the frames of an mp4 file as a camera's, resized to its size only when asked.
+    async def frames(
+        self, data: bytes, camera: Camera, *, resize: bool, fps: float = 0.0
+    ) -> AsyncGenerator[VideoChunk, None]:
+        """Yields the frames of an mp4 or mov file as a camera's, resized to its size only when asked.
+
+        They are those shown `fps` times per second; all of them where `fps` is 0.
 
         Raises:
             InvalidInput: The video has another size than the camera, or as `open_video`.
@@ -56,7 +60,7 @@ class VideoDecoding:
                 if not resize and (video.info.height, video.info.width) != size:
                     raise _other_size((video.info.height, video.info.width), size)
                 at_once = max(1, min(_MAX_FRAMES_AT_ONCE, _PIXELS_AT_ONCE // (camera.height * camera.width)))
-                frames = iter(video)
+                frames = frames_at_rate(video, fps=fps, file="video") if fps else iter(video)
                 while chunk := await self._run(lambda: _take(frames, at_once)):
                     yield chunk
             finally:

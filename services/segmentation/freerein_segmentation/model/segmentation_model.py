@@ -1,6 +1,7 @@
 """Inference with a trained segmentation network: numpy in, numpy out."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import model_files
 from freerein.learning.action_scaling import UnscaledActionSpec
 from freerein.learning.image_statistics import image_statistics
@@ -35,15 +36,17 @@ class SegmentationModel:
 
     Attributes:
         lag: Timesteps after a timestep that its prediction depends on; None for a model of whole trajectories.
+        fps: Timesteps per second of what it was trained on; 0 where unknown.
     """
 
-    def __init__(self, network: SegmentationNetwork) -> None:
+    def __init__(self, network: SegmentationNetwork, *, fps: float = 0.0) -> None:
         spec = network.spec
         self.skills = spec.skills
         (self.camera,) = spec.cameras
         taken = UnscaledActionSpec(**vars(spec.action)) if spec.action_scaling else spec.action
         self.action = taken if spec.use_actions else None
         self.lag = spec.context * spec.stride if isinstance(spec.context, int) else None
+        self.fps = fps
         self._stride = spec.stride
         self._network = network.eval()
         self._device = next(network.parameters()).device
@@ -117,4 +120,17 @@ class SegmentationModel:
 
 def load(folder: Path, device: str) -> SegmentationModel:
     """Returns the model in a folder; see `freerein.learning.model_files.load_model`."""
-    return SegmentationModel(model_files.load_model(folder, ModelSpec, SegmentationNetwork, device=device))
+    network = model_files.load_model(folder, ModelSpec, SegmentationNetwork, device=device)
+    return SegmentationModel(network, fps=_fps(model_files.read_card(folder)))
+
+
+def _fps(card: Mapping[str, Any]) -> float:
+    """Returns the timesteps per second that a card names; 0 for an earlier card, which names none."""
+    data = card.get("data")
+    fps = data.get("fps", 0.0) if isinstance(data, Mapping) else 0.0
+    if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0.0 <= fps < math.inf:
+        raise InvalidInput(
+            "`data.fps` of a model's card must be a number of timesteps per second; it is not.",
+            hint="Fit the model again, or restore its folder from a copy.",
+        )
+    return float(fps)

@@ -26,15 +26,17 @@ from freerein.data.lookup import choose_camera
 from freerein.errors import InvalidInput, NotFound
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
-from freerein.video import open_video
+from freerein.video import frames_at_rate, open_video
 
 _WRITER = "freerein segment"
 _FILM_HEIGHT = 120
 _VIDEO, _TRAJECTORY, _DATASET = "a video", "a trajectory of a dataset", "a whole dataset with --save"
+_VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov")
 _GOES_WITH = {
     "index": (_TRAJECTORY,),
     "camera": (_TRAJECTORY, _DATASET),
     "resize": (_VIDEO,),
+    "fps": (_VIDEO,),
     "actions": (_VIDEO,),
     "png": (_VIDEO, _TRAJECTORY),
     "vtt": (_VIDEO, _TRAJECTORY),
@@ -49,7 +51,7 @@ app = typer.Typer(add_completion=False)
 @app.command()
 @command
 def segment(
-    source: Annotated[str, typer.Argument(help="An mp4 file, or the name of a dataset in the data directory.")],
+    source: Annotated[str, typer.Argument(help="An mp4 or mov file, or the name of a dataset in the data directory.")],
     *,
     index: Annotated[int | None, typer.Option(min=0, help="Index of the dataset's trajectory; 0 by default.")] = None,
     model: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
@@ -66,9 +68,12 @@ def segment(
         float, typer.Option(min=0, max=1, help="Reject timesteps with a smaller confidence; before `--min-kept`.")
     ] = 0.0,
     resize: Annotated[bool, typer.Option("--resize", help="Resize a video's frames to the model's size.")] = False,
+    fps: Annotated[
+        float, typer.Option(min=0, max=240, help="Timesteps per second of a video; those of the model by default.")
+    ] = 0.0,
     actions: Annotated[
         Path | None,
-        typer.Option(help="CSV file with the actions of a video, a row per frame, for models that see them."),
+        typer.Option(help="CSV file with the actions of a video, a row per timestep, for models that see them."),
     ] = None,
     png: Annotated[Path | None, typer.Option(help="Draw the timeline into this PNG file.")] = None,
     vtt: Annotated[Path | None, typer.Option(help="Write the segments to this WebVTT file, as subtitles.")] = None,
@@ -83,12 +88,12 @@ def segment(
         min_kept=min_kept,
         min_confidence=min_confidence,
     )
-    given = {"index": index is not None, "camera": camera, "resize": resize, "actions": actions}
+    given = {"index": index is not None, "camera": camera, "resize": resize, "fps": fps, "actions": actions}
     given |= {"png": png, "vtt": vtt, "save": save}
-    if source.lower().endswith(".mp4"):
+    if source.lower().endswith(_VIDEO_SUFFIXES):
         _check_all_go_with(_VIDEO, given)
         labelled, film = _segment_video(
-            Path(source), replace(request, resize=resize), actions, is_drawn=png is not None
+            Path(source), replace(request, resize=resize, fps=fps), actions, is_drawn=png is not None
         )
     else:
         _check_no_file(source)
@@ -111,7 +116,7 @@ def segment(
 def _check_no_file(source: str) -> None:
     if Path(source).is_file():
         raise InvalidInput(
-            "A video must be an mp4 file; this file is another.",
+            "A video must be an mp4 or mov file; this file is another.",
             field="source",
             hint="Encode it: ffmpeg -i IN -c:v libx264 OUT.mp4.",
         )
@@ -134,7 +139,7 @@ def _segment_video(
     """Returns the labelled video, and some of its frames where they are to be drawn."""
     if not path.is_file():
         raise NotFound(
-            "The video must be an mp4 file; there is none of that name.",
+            "The video must be an mp4 or mov file; there is none of that name.",
             field="source",
             hint="Give its path, relative to the current folder.",
         )
@@ -149,7 +154,7 @@ def _segment_video(
         return await client.segment(asked, timeout_s=SEGMENT_TIMEOUT_S)
 
     answer = call(SegmentationClient, "segmentation", ask)
-    return timeline.of_video(answer), _film_of(path, len(answer.labels)) if is_drawn else ()
+    return timeline.of_video(answer), _film_of(path, answer) if is_drawn else ()
 
 
 def _read_actions(path: Path, skills: ListSkillsResponse) -> npt.NDArray[Any]:
@@ -164,14 +169,16 @@ def _read_actions(path: Path, skills: ListSkillsResponse) -> npt.NDArray[Any]:
     return values.astype(np.float32)
 
 
-def _film_of(path: Path, count: int) -> Film:
-    """Returns frames of a video at equal distances, scaled to the height of a film."""
+def _film_of(path: Path, answer: SegmentResponse) -> Film:
+    """Returns frames of a labelled video at equal distances, scaled to the height of a film."""
     with open_video(path) as probe:
         info = probe.info
     size = (_FILM_HEIGHT, max(1, round(info.width * _FILM_HEIGHT / info.height)))
+    count = len(answer.labels)
     shown = set(_film_indices(count))
     with open_video(path, size=size) as video:
-        return [frame.pixels for t, frame in enumerate(islice(video, count)) if t in shown]
+        timesteps = frames_at_rate(video, fps=answer.fps, file=path.name) if answer.fps else iter(video)
+        return [frame.pixels for t, frame in enumerate(islice(timesteps, count)) if t in shown]
 
 
 def _film_indices(count: int) -> list[int]:
@@ -182,16 +189,17 @@ def _segment_one(dataset: Dataset, index: int, request: SegmentRequest, camera: 
     """Returns a labelled trajectory, and some of its frames; `camera` may be empty."""
     trajectory = read_trajectory(dataset, index)
 
-    async def ask(client: SegmentationClient) -> tuple[SegmentResponse, str]:
+    async def ask(client: SegmentationClient) -> tuple[SegmentResponse, ListSkillsResponse, str]:
         skills = await client.list_skills(ListSkillsRequest(request.model))
         chosen = choose_camera(dataset, camera, of_model=skills.camera)
         filled = replace(request, model=skills.model, frames=trajectory.frames[chosen], actions=trajectory.actions)
-        return await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S), chosen
+        return await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S), skills, chosen
 
-    answer, chosen = call(SegmentationClient, "segmentation", ask)
+    answer, skills, chosen = call(SegmentationClient, "segmentation", ask)
     frames = trajectory.frames[chosen]
     film = [frames[t] for t in _film_indices(len(frames))]
-    return timeline.at_rate(answer, fps=dataset.spec.fps), film
+    labelled = timeline.at_rate(answer, fps=dataset.spec.fps)
+    return replace(labelled, note=timeline.rate_warning(dataset.spec.fps, skills.fps)), film
 
 
 def _segment_all(name: str, dataset: Dataset, request: SegmentRequest, camera: str, *, as_json: bool) -> None:
@@ -211,10 +219,12 @@ class LabelledDataset:
     Attributes:
         info: The model and its skills.
         flagged: Share of the timesteps that are probably unlike what the model was fitted on.
+        note: A sentence where its rate is not that of the model; else empty.
     """
 
     info: LabelsInfo
     flagged: float
+    note: str = ""
 
 
 def _show_saved(dataset: str, count: int, labelled: LabelledDataset, *, as_json: bool) -> None:
@@ -225,7 +235,7 @@ def _show_saved(dataset: str, count: int, labelled: LabelledDataset, *, as_json:
         print_json({**document, "flagged": flagged})
         return
     typer.echo(f"Labelled {count} trajectories of {dataset} by model {info.model.name} {info.model.version}.")
-    if text := timeline.warning(flagged):
+    for text in filter(None, (timeline.warning(flagged), labelled.note)):
         typer.echo(text)
 
 
@@ -254,4 +264,5 @@ async def label_all(
             scores.append(answer.in_distribution)
             on_count(index + 1)
         writer.finish(info)
-    return LabelledDataset(info, timeline.flagged(scores))
+    note = timeline.rate_warning(dataset.spec.fps, skills.fps)
+    return LabelledDataset(info, timeline.flagged(scores), note)

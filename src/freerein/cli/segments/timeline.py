@@ -26,10 +26,12 @@ class Timeline:
     Attributes:
         answer: The answer.
         time_s: float64 (T + 1,), when each timestep begins, and the last one ends, in seconds.
+        note: A sentence to show below it; may be empty.
     """
 
     answer: SegmentResponse
     time_s: npt.NDArray[np.float64]
+    note: str = ""
 
 
 def at_rate(answer: SegmentResponse, *, fps: float) -> Timeline:
@@ -38,7 +40,7 @@ def at_rate(answer: SegmentResponse, *, fps: float) -> Timeline:
 
 
 def of_video(answer: SegmentResponse) -> Timeline:
-    """Returns the timeline of a video; its last frame is shown for as long as the others are at the median."""
+    """Returns the timeline of a video; its last timestep lasts as long as the others do at the median."""
     time_s = answer.time_s.astype(np.float64)
     last = float(np.median(np.diff(time_s))) if len(time_s) > 1 else _ONE_FRAME_S
     return Timeline(answer, np.append(time_s, time_s[-1] + last))
@@ -57,12 +59,13 @@ def show(timeline: Timeline, console: Console) -> None:
     console.print(table)
     console.print(skill_bar(answer.labels.tolist(), width=min(console.width, _WIDEST_BAR)))
     rejected = int((answer.labels == NO_SKILL).sum())
+    rate = f", {answer.fps:g} per second" if answer.fps else ""
     console.print(
-        f"{len(answer.labels)} timesteps, {f'{rejected} of them rejected, ' if rejected else ''}"
+        f"{len(answer.labels)} timesteps{rate}, {f'{rejected} of them rejected, ' if rejected else ''}"
         f"model {answer.model.name} {answer.model.version}",
         style="dim",
     )
-    if text := warning(flagged([answer.in_distribution])):
+    for text in filter(None, (warning(flagged([answer.in_distribution])), timeline.note)):
         console.print(text)
 
 
@@ -83,6 +86,16 @@ def warning(share: float) -> str:
     return (
         f"{share:.0%} of the timesteps are probably unlike what the model was fitted on: `in_distribution` is below "
         f"{FLAGGED:g}, as for {FLAGGED:.0%} of held-out ones."
+    )
+
+
+def rate_warning(fps: float, trained: float) -> str:
+    """Returns a sentence where a dataset has other timesteps per second than what a model was trained on, if known."""
+    if not trained or fps == trained:
+        return ""
+    return (
+        f"The dataset has {fps:g} timesteps per second, and the model was trained on {trained:g}: import the "
+        f"recordings with --fps {trained:g}."
     )
 
 

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from freerein.api.common.v1 import common_pb2 as freerein_dot_api_dot_common_dot_v1_dot_common__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n/freerein/api/segmentation/v1/segmentation.proto\x12\x1c\x66reerein.api.segmentation.v1\x1a#freerein/api/common/v1/common.proto\"\xe5\x02\n\x0eSegmentRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x39\n\x06\x66rames\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\t\x9a\xb5\x18\x05UINT8\x12\x35\n\x06images\x18\x03 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x06\x90\xb5\x18\xa0\x9c\x01\x12?\n\x07\x61\x63tions\x18\x04 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\x0e\x9a\xb5\x18\nFP32 INT64\x12\x13\n\x0bmin_segment\x18\x05 \x01(\r\x12\x11\n\tsmoothing\x18\x06 \x01(\x01\x12\x10\n\x08min_kept\x18\x07 \x01(\r\x12\r\n\x05video\x18\x08 \x01(\x0c\x12\x0e\n\x06resize\x18\t \x01(\x08\x12\x16\n\x0emin_confidence\x18\n \x01(\x01\"H\n\x07Segment\x12\r\n\x05start\x18\x01 \x01(\r\x12\x0b\n\x03\x65nd\x18\x02 \x01(\r\x12\r\n\x05skill\x18\x03 \x01(\t\x12\x12\n\nconfidence\x18\x04 \x01(\x01\"\x88\x02\n\x0fSegmentResponse\x12\x0e\n\x06labels\x18\x01 \x03(\x05\x12\x12\n\nconfidence\x18\x02 \x03(\x02\x12\x37\n\x08segments\x18\x03 \x03(\x0b\x32%.freerein.api.segmentation.v1.Segment\x12\x0e\n\x06skills\x18\x04 \x03(\t\x12/\n\x05model\x18\x05 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x06 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x17\n\x0fin_distribution\x18\x07 \x03(\x02\x12\x0e\n\x06time_s\x18\x08 \x03(\x02\"\x8d\x01\n\x14SegmentStreamRequest\x12\x39\n\x05hello\x18\x01 \x01(\x0b\x32*.freerein.api.segmentation.v1.SegmentHello\x12:\n\ttimesteps\x18\x02 \x01(\x0b\x32\'.freerein.api.segmentation.v1.Timesteps\"|\n\x0cSegmentHello\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x11\n\tsmoothing\x18\x02 \x01(\x01\x12\x10\n\x08min_kept\x18\x03 \x01(\r\x12\x16\n\x0emin_confidence\x18\x04 \x01(\x01\"\xcb\x01\n\tTimesteps\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x39\n\x06\x66rames\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\t\x9a\xb5\x18\x05UINT8\x12\x35\n\x06images\x18\x03 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x06\x90\xb5\x18\xa0\x9c\x01\x12?\n\x07\x61\x63tions\x18\x04 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\x0e\x9a\xb5\x18\nFP32 INT64\"\x85\x02\n\x15SegmentStreamResponse\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x41\n\x06opened\x18\x02 \x01(\x0b\x32\x31.freerein.api.segmentation.v1.SegmentStreamOpened\x12:\n\x06labels\x18\x03 \x01(\x0b\x32*.freerein.api.segmentation.v1.StreamLabels\x12,\n\x05\x65rror\x18\x04 \x01(\x0b\x32\x1d.freerein.api.common.v1.Error\x12\x32\n\x08\x64raining\x18\x05 \x01(\x0b\x32 .freerein.api.common.v1.Draining\"c\n\x13SegmentStreamOpened\x12?\n\x05model\x18\x01 \x01(\x0b\x32\x30.freerein.api.segmentation.v1.ListSkillsResponse\x12\x0b\n\x03lag\x18\x02 \x01(\r\"\xd8\x01\n\x0cStreamLabels\x12\r\n\x05start\x18\x01 \x01(\r\x12\x0e\n\x06labels\x18\x02 \x03(\x05\x12\x12\n\nconfidence\x18\x03 \x03(\x02\x12\x17\n\x0fin_distribution\x18\x04 \x03(\x02\x12\x37\n\x08segments\x18\x05 \x03(\x0b\x32%.freerein.api.segmentation.v1.Segment\x12\x13\n\x0bprovisional\x18\x06 \x03(\x05\x12.\n\x06timing\x18\x07 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\"D\n\x11ListSkillsRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\"\xdd\x01\n\x12ListSkillsResponse\x12\x0e\n\x06skills\x18\x01 \x03(\t\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x0e\n\x06height\x18\x03 \x01(\r\x12\r\n\x05width\x18\x04 \x01(\r\x12\x10\n\x08\x63hannels\x18\x05 \x01(\r\x12\x13\n\x0b\x61\x63tion_size\x18\x06 \x01(\r\x12\x16\n\x0e\x61\x63tion_choices\x18\x07 \x01(\r\x12\x10\n\x03lag\x18\x08 \x01(\rH\x00\x88\x01\x01\x12\x0e\n\x06\x63\x61mera\x18\t \x01(\tB\x06\n\x04_lag2\xec\x02\n\x13SegmentationService\x12\x66\n\x07Segment\x12,.freerein.api.segmentation.v1.SegmentRequest\x1a-.freerein.api.segmentation.v1.SegmentResponse\x12|\n\rSegmentStream\x12\x32.freerein.api.segmentation.v1.SegmentStreamRequest\x1a\x33.freerein.api.segmentation.v1.SegmentStreamResponse(\x01\x30\x01\x12o\n\nListSkills\x12/.freerein.api.segmentation.v1.ListSkillsRequest\x1a\x30.freerein.api.segmentation.v1.ListSkillsResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n/freerein/api/segmentation/v1/segmentation.proto\x12\x1c\x66reerein.api.segmentation.v1\x1a#freerein/api/common/v1/common.proto\"\xf2\x02\n\x0eSegmentRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x39\n\x06\x66rames\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\t\x9a\xb5\x18\x05UINT8\x12\x35\n\x06images\x18\x03 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x06\x90\xb5\x18\xa0\x9c\x01\x12?\n\x07\x61\x63tions\x18\x04 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\x0e\x9a\xb5\x18\nFP32 INT64\x12\x13\n\x0bmin_segment\x18\x05 \x01(\r\x12\x11\n\tsmoothing\x18\x06 \x01(\x01\x12\x10\n\x08min_kept\x18\x07 \x01(\r\x12\r\n\x05video\x18\x08 \x01(\x0c\x12\x0e\n\x06resize\x18\t \x01(\x08\x12\x16\n\x0emin_confidence\x18\n \x01(\x01\x12\x0b\n\x03\x66ps\x18\x0b \x01(\x01\"H\n\x07Segment\x12\r\n\x05start\x18\x01 \x01(\r\x12\x0b\n\x03\x65nd\x18\x02 \x01(\r\x12\r\n\x05skill\x18\x03 \x01(\t\x12\x12\n\nconfidence\x18\x04 \x01(\x01\"\x95\x02\n\x0fSegmentResponse\x12\x0e\n\x06labels\x18\x01 \x03(\x05\x12\x12\n\nconfidence\x18\x02 \x03(\x02\x12\x37\n\x08segments\x18\x03 \x03(\x0b\x32%.freerein.api.segmentation.v1.Segment\x12\x0e\n\x06skills\x18\x04 \x03(\t\x12/\n\x05model\x18\x05 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x06 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x17\n\x0fin_distribution\x18\x07 \x03(\x02\x12\x0e\n\x06time_s\x18\x08 \x03(\x02\x12\x0b\n\x03\x66ps\x18\t \x01(\x01\"\x8d\x01\n\x14SegmentStreamRequest\x12\x39\n\x05hello\x18\x01 \x01(\x0b\x32*.freerein.api.segmentation.v1.SegmentHello\x12:\n\ttimesteps\x18\x02 \x01(\x0b\x32\'.freerein.api.segmentation.v1.Timesteps\"|\n\x0cSegmentHello\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x11\n\tsmoothing\x18\x02 \x01(\x01\x12\x10\n\x08min_kept\x18\x03 \x01(\r\x12\x16\n\x0emin_confidence\x18\x04 \x01(\x01\"\xcb\x01\n\tTimesteps\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x39\n\x06\x66rames\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\t\x9a\xb5\x18\x05UINT8\x12\x35\n\x06images\x18\x03 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x06\x90\xb5\x18\xa0\x9c\x01\x12?\n\x07\x61\x63tions\x18\x04 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\x0e\x9a\xb5\x18\nFP32 INT64\"\x85\x02\n\x15SegmentStreamResponse\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x41\n\x06opened\x18\x02 \x01(\x0b\x32\x31.freerein.api.segmentation.v1.SegmentStreamOpened\x12:\n\x06labels\x18\x03 \x01(\x0b\x32*.freerein.api.segmentation.v1.StreamLabels\x12,\n\x05\x65rror\x18\x04 \x01(\x0b\x32\x1d.freerein.api.common.v1.Error\x12\x32\n\x08\x64raining\x18\x05 \x01(\x0b\x32 .freerein.api.common.v1.Draining\"c\n\x13SegmentStreamOpened\x12?\n\x05model\x18\x01 \x01(\x0b\x32\x30.freerein.api.segmentation.v1.ListSkillsResponse\x12\x0b\n\x03lag\x18\x02 \x01(\r\"\xd8\x01\n\x0cStreamLabels\x12\r\n\x05start\x18\x01 \x01(\r\x12\x0e\n\x06labels\x18\x02 \x03(\x05\x12\x12\n\nconfidence\x18\x03 \x03(\x02\x12\x17\n\x0fin_distribution\x18\x04 \x03(\x02\x12\x37\n\x08segments\x18\x05 \x03(\x0b\x32%.freerein.api.segmentation.v1.Segment\x12\x13\n\x0bprovisional\x18\x06 \x03(\x05\x12.\n\x06timing\x18\x07 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\"D\n\x11ListSkillsRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\"\xea\x01\n\x12ListSkillsResponse\x12\x0e\n\x06skills\x18\x01 \x03(\t\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x0e\n\x06height\x18\x03 \x01(\r\x12\r\n\x05width\x18\x04 \x01(\r\x12\x10\n\x08\x63hannels\x18\x05 \x01(\r\x12\x13\n\x0b\x61\x63tion_size\x18\x06 \x01(\r\x12\x16\n\x0e\x61\x63tion_choices\x18\x07 \x01(\r\x12\x10\n\x03lag\x18\x08 \x01(\rH\x00\x88\x01\x01\x12\x0e\n\x06\x63\x61mera\x18\t \x01(\t\x12\x0b\n\x03\x66ps\x18\n \x01(\x01\x42\x06\n\x04_lag2\xec\x02\n\x13SegmentationService\x12\x66\n\x07Segment\x12,.freerein.api.segmentation.v1.SegmentRequest\x1a-.freerein.api.segmentation.v1.SegmentResponse\x12|\n\rSegmentStream\x12\x32.freerein.api.segmentation.v1.SegmentStreamRequest\x1a\x33.freerein.api.segmentation.v1.SegmentStreamResponse(\x01\x30\x01\x12o\n\nListSkills\x12/.freerein.api.segmentation.v1.ListSkillsRequest\x1a\x30.freerein.api.segmentation.v1.ListSkillsResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -45,27 +45,27 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_TIMESTEPS'].fields_by_name['actions']._loaded_options = None
   _globals['_TIMESTEPS'].fields_by_name['actions']._serialized_options = b'\232\265\030\nFP32 INT64'
   _globals['_SEGMENTREQUEST']._serialized_start=119
-  _globals['_SEGMENTREQUEST']._serialized_end=476
-  _globals['_SEGMENT']._serialized_start=478
-  _globals['_SEGMENT']._serialized_end=550
-  _globals['_SEGMENTRESPONSE']._serialized_start=553
-  _globals['_SEGMENTRESPONSE']._serialized_end=817
-  _globals['_SEGMENTSTREAMREQUEST']._serialized_start=820
-  _globals['_SEGMENTSTREAMREQUEST']._serialized_end=961
-  _globals['_SEGMENTHELLO']._serialized_start=963
-  _globals['_SEGMENTHELLO']._serialized_end=1087
-  _globals['_TIMESTEPS']._serialized_start=1090
-  _globals['_TIMESTEPS']._serialized_end=1293
-  _globals['_SEGMENTSTREAMRESPONSE']._serialized_start=1296
-  _globals['_SEGMENTSTREAMRESPONSE']._serialized_end=1557
-  _globals['_SEGMENTSTREAMOPENED']._serialized_start=1559
-  _globals['_SEGMENTSTREAMOPENED']._serialized_end=1658
-  _globals['_STREAMLABELS']._serialized_start=1661
-  _globals['_STREAMLABELS']._serialized_end=1877
-  _globals['_LISTSKILLSREQUEST']._serialized_start=1879
-  _globals['_LISTSKILLSREQUEST']._serialized_end=1947
-  _globals['_LISTSKILLSRESPONSE']._serialized_start=1950
-  _globals['_LISTSKILLSRESPONSE']._serialized_end=2171
-  _globals['_SEGMENTATIONSERVICE']._serialized_start=2174
-  _globals['_SEGMENTATIONSERVICE']._serialized_end=2538
+  _globals['_SEGMENTREQUEST']._serialized_end=489
+  _globals['_SEGMENT']._serialized_start=491
+  _globals['_SEGMENT']._serialized_end=563
+  _globals['_SEGMENTRESPONSE']._serialized_start=566
+  _globals['_SEGMENTRESPONSE']._serialized_end=843
+  _globals['_SEGMENTSTREAMREQUEST']._serialized_start=846
+  _globals['_SEGMENTSTREAMREQUEST']._serialized_end=987
+  _globals['_SEGMENTHELLO']._serialized_start=989
+  _globals['_SEGMENTHELLO']._serialized_end=1113
+  _globals['_TIMESTEPS']._serialized_start=1116
+  _globals['_TIMESTEPS']._serialized_end=1319
+  _globals['_SEGMENTSTREAMRESPONSE']._serialized_start=1322
+  _globals['_SEGMENTSTREAMRESPONSE']._serialized_end=1583
+  _globals['_SEGMENTSTREAMOPENED']._serialized_start=1585
+  _globals['_SEGMENTSTREAMOPENED']._serialized_end=1684
+  _globals['_STREAMLABELS']._serialized_start=1687
+  _globals['_STREAMLABELS']._serialized_end=1903
+  _globals['_LISTSKILLSREQUEST']._serialized_start=1905
+  _globals['_LISTSKILLSREQUEST']._serialized_end=1973
+  _globals['_LISTSKILLSRESPONSE']._serialized_start=1976
+  _globals['_LISTSKILLSRESPONSE']._serialized_end=2210
+  _globals['_SEGMENTATIONSERVICE']._serialized_start=2213
+  _globals['_SEGMENTATIONSERVICE']._serialized_end=2577
 # @@protoc_insertion_point(module_scope)

@@ -35,6 +35,7 @@ class SegmentRequest(_message.Message):
     VIDEO_FIELD_NUMBER: _builtins.int
     RESIZE_FIELD_NUMBER: _builtins.int
     MIN_CONFIDENCE_FIELD_NUMBER: _builtins.int
+    FPS_FIELD_NUMBER: _builtins.int
     min_segment: _builtins.int
     """Shortest segment in timesteps; shorter ones are merged into a neighbour. 0 and 1 keep all; at most 1000."""
     smoothing: _builtins.float
@@ -44,12 +45,18 @@ class SegmentRequest(_message.Message):
     skill. 0 and 1 keep all; at most 1000.
     """
     video: _builtins.bytes
-    """An mp4 file with H.264 or AV1, a frame per timestep, in the model's size unless `resize` is set."""
+    """An mp4 or mov file with H.264, HEVC, AV1, VP9, MPEG-4 or Motion JPEG, in the model's size unless `resize` is set. Its
+    timesteps are what it shows at `fps` times per second; frames are left out, or repeated.
+    """
     resize: _builtins.bool
     """Whether frames of `video` are resized to the model's height and width, whatever their aspect ratio."""
     min_confidence: _builtins.float
     """Least confidence that is kept, in [0, 1], before short segments are rejected; timesteps below it have no skill. 0
     keeps all.
+    """
+    fps: _builtins.float
+    """Timesteps per second of `video`, at most 240; 0 for those that the model was trained on (`fps` of ListSkills). Where
+    these are unknown, too, each frame is a timestep.
     """
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
@@ -65,7 +72,9 @@ class SegmentRequest(_message.Message):
 
     @_builtins.property
     def actions(self) -> _common_pb2.Tensor:
-        """Executed actions, FP32 (T, A) or INT64 (T, 1), as in training. Required by a model that was trained with actions."""
+        """Executed actions, FP32 (T, A) or INT64 (T, 1), as in training, one for each timestep. Required by a model that was
+        trained with actions.
+        """
 
     def __init__(
         self,
@@ -80,10 +89,11 @@ class SegmentRequest(_message.Message):
         video: _builtins.bytes = ...,
         resize: _builtins.bool = ...,
         min_confidence: _builtins.float = ...,
+        fps: _builtins.float = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "frames", b"frames", "images", b"images", "min_confidence", b"min_confidence", "min_kept", b"min_kept", "min_segment", b"min_segment", "model", b"model", "resize", b"resize", "smoothing", b"smoothing", "video", b"video"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["actions", b"actions", "fps", b"fps", "frames", b"frames", "images", b"images", "min_confidence", b"min_confidence", "min_kept", b"min_kept", "min_segment", b"min_segment", "model", b"model", "resize", b"resize", "smoothing", b"smoothing", "video", b"video"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -137,6 +147,9 @@ class SegmentResponse(_message.Message):
     TIMING_FIELD_NUMBER: _builtins.int
     IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
     TIME_S_FIELD_NUMBER: _builtins.int
+    FPS_FIELD_NUMBER: _builtins.int
+    fps: _builtins.float
+    """Timesteps per second at which `video` was sampled; 0 where each frame was a timestep, and for the other forms."""
     @_builtins.property
     def labels(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
         """Index into `skills` of each of T timesteps; -1 for none, where it was rejected."""
@@ -169,7 +182,7 @@ class SegmentResponse(_message.Message):
 
     @_builtins.property
     def time_s(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
-        """When each of T frames of a `video` is shown, in seconds; empty for the other forms."""
+        """When each of T timesteps of a `video` is, in seconds; empty for the other forms."""
 
     def __init__(
         self,
@@ -182,10 +195,11 @@ class SegmentResponse(_message.Message):
         timing: _common_pb2.Timing | None = ...,
         in_distribution: _abc.Iterable[_builtins.float] | None = ...,
         time_s: _abc.Iterable[_builtins.float] | None = ...,
+        fps: _builtins.float = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["confidence", b"confidence", "in_distribution", b"in_distribution", "labels", b"labels", "model", b"model", "segments", b"segments", "skills", b"skills", "time_s", b"time_s", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["confidence", b"confidence", "fps", b"fps", "in_distribution", b"in_distribution", "labels", b"labels", "model", b"model", "segments", b"segments", "skills", b"skills", "time_s", b"time_s", "timing", b"timing"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -468,6 +482,7 @@ class ListSkillsResponse(_message.Message):
     ACTION_CHOICES_FIELD_NUMBER: _builtins.int
     LAG_FIELD_NUMBER: _builtins.int
     CAMERA_FIELD_NUMBER: _builtins.int
+    FPS_FIELD_NUMBER: _builtins.int
     height: _builtins.int
     """Frame height in pixels; requests must match."""
     width: _builtins.int
@@ -484,6 +499,8 @@ class ListSkillsResponse(_message.Message):
     """
     camera: _builtins.str
     """Name of the camera whose frames the model was trained on, as in its dataset."""
+    fps: _builtins.float
+    """Timesteps per second of what the model was trained on; 0 where its card does not say."""
     @_builtins.property
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """The skills; labels are indices into this list."""
@@ -504,10 +521,11 @@ class ListSkillsResponse(_message.Message):
         action_choices: _builtins.int = ...,
         lag: _builtins.int | None = ...,
         camera: _builtins.str = ...,
+        fps: _builtins.float = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_lag", b"_lag", "lag", b"lag", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_lag", b"_lag", "action_choices", b"action_choices", "action_size", b"action_size", "camera", b"camera", "channels", b"channels", "height", b"height", "lag", b"lag", "model", b"model", "skills", b"skills", "width", b"width"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_lag", b"_lag", "action_choices", b"action_choices", "action_size", b"action_size", "camera", b"camera", "channels", b"channels", "fps", b"fps", "height", b"height", "lag", b"lag", "model", b"model", "skills", b"skills", "width", b"width"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__lag: _TypeAlias = _typing.Literal["lag"]  # noqa: Y015
     _WhichOneofArgType__lag: _TypeAlias = _typing.Literal["_lag", b"_lag"]  # noqa: Y015
