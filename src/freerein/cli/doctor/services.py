@@ -3,13 +3,13 @@
 import os
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
-from pathlib import Path
 
 import grpc
 import httpx
 
 from freerein.cli.doctor.machine import CheckResult
-from freerein.cli.services.endpoints import configured_host, configured_ports, connectable, is_free, tls_context
+from freerein.cli.services.certificates import certificate_file, tls_context, tls_problem
+from freerein.cli.services.endpoints import configured_host, configured_ports, connectable, is_free
 from freerein.ports import PORTS, Ports, addresses
 
 _TIMEOUT_S = 2.0
@@ -45,11 +45,18 @@ def _check_local(name: str, ports: Ports) -> CheckResult:
     if not held:
         detail = f"not running; ports {ports.rest} and {ports.grpc} are free"
         return CheckResult(name, "warning", detail, "Run `freerein up`.")
+    return _check_running(name, host, ports, held=held[0])
+
+
+def _check_running(name: str, host: str, ports: Ports, *, held: int) -> CheckResult:
+    """Checks the program that holds a port of a service."""
     url, target = f"{_scheme()}://{connectable(host)}:{ports.rest}", f"{connectable(host)}:{ports.grpc}"
+    if problem := _tls_problem(connectable(host), ports.rest):
+        return CheckResult(name, "problem", problem, "Set FREEREIN_TLS_CERT as the service has it.")
     answer = _ask(url)
     if answer is None:
-        detail = f"port {' and '.join(map(str, held))} is used by another program"
-        return CheckResult(name, "problem", detail, f"Stop it; `ss -ltnp sport = :{held[0]}` names it.")
+        detail = f"port {held} is used by another program"
+        return CheckResult(name, "problem", detail, f"Stop it; `ss -ltnp sport = :{held}` names it.")
     if not answer.is_success:
         return CheckResult(name, "warning", _reason(answer), "Wait, or read logs/<service>.log in the data directory.")
     if not _is_reachable(target):
@@ -61,6 +68,9 @@ def _check_remote(name: str) -> CheckResult:
     targets = addresses(name, os.environ)
     for target in targets:
         if not _is_reachable(target):
+            where, _, port = target.rpartition(":")
+            if problem := _tls_problem(where, int(port)):
+                return CheckResult(name, "problem", problem, "Set FREEREIN_TLS_CERT as the service has it.")
             fix = f"Start it there, or correct {_variable(name)}."
             return CheckResult(name, "problem", f"no answer at {target}", fix)
     return CheckResult(name, "ok", f"answers at {' and '.join(targets)}")
@@ -78,6 +88,11 @@ def _ask(url: str) -> httpx.Response | None:
             return client.get(f"{url}/readyz") if live.json() == {"live": True} else None
         except (httpx.HTTPError, ValueError):
             return None
+
+
+def _tls_problem(host: str, port: int) -> str:
+    certificate = _certificate()
+    return tls_problem(host, port, certificate, timeout_s=_TIMEOUT_S) if certificate else ""
 
 
 def _reason(answer: httpx.Response) -> str:
@@ -100,7 +115,7 @@ def _channel(target: str) -> grpc.Channel:
     certificate = _certificate()
     if certificate is None:
         return grpc.insecure_channel(target)
-    return grpc.secure_channel(target, grpc.ssl_channel_credentials(Path(certificate).read_bytes()))
+    return grpc.secure_channel(target, grpc.ssl_channel_credentials(certificate_file(certificate).read_bytes()))
 
 
 def _certificate() -> str | None:

@@ -2,7 +2,6 @@
 
 import contextlib
 import socket
-import ssl
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
@@ -140,15 +139,6 @@ def _bound(port: int, host: str) -> socket.socket:
         candidate.close()
         raise
     return candidate
-
-
-def tls_context(certificate: str | None) -> ssl.SSLContext | bool:
-    """Returns the TLS verification of probes: only the given certificate, for any host name; the default for None."""
-    if certificate is None:
-        return True
-    context = ssl.create_default_context(cafile=certificate)
-    context.check_hostname = False
-    return context
 
 
 def _free_port(held: contextlib.ExitStack) -> int:

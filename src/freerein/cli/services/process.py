@@ -14,6 +14,8 @@ from typing import Literal
 
 import httpx
 
+from freerein.cli.services.certificates import tls_problem
+
 CONFIGURATION_ERROR = 3
 DRAIN_S = 10.0
 
@@ -21,6 +23,7 @@ State = Literal["starting", "not ready", "ready", "restarting", "given up", "mis
 
 _POLL_S = 0.1
 _POLL_WHEN_READY_S = 1.0
+_TLS_TIMEOUT_S = 2.0
 _CONFIGURATION_ERROR_PREFIX = "cannot start: "
 
 
@@ -170,11 +173,25 @@ class ServiceProcess:
     async def _readiness(self) -> tuple[State, str]:
         try:
             answer = await self._client.get(f"{self.status.rest_url}/readyz")
+            if answer.is_success and (problem := await self._tls_problem()):
+                return "not ready", problem
             return ("ready", "") if answer.is_success else ("not ready", str(answer.json()["detail"]))
         except httpx.ConnectError:
-            return "starting", "It does not listen yet."
+            problem = await self._tls_problem()
+            return ("not ready", problem) if problem else ("starting", "It does not listen yet.")
         except (httpx.HTTPError, ValueError, KeyError, TypeError):
             return "not ready", "It does not answer the readiness probe."
+
+    async def _tls_problem(self) -> str:
+        """Returns why clients cannot speak TLS with the service; empty where they can, and once it was ready."""
+        certificate, url = self._command.environ.get("FREEREIN_TLS_CERT"), httpx.URL(self.status.rest_url)
+        if not certificate or self.status.state == "ready":
+            return ""
+        target = self._command.environ.get(f"FREEREIN_{self.status.service.upper()}_ADDRESS", "")
+        called = target.partition(",")[0].strip().rpartition(":")[0]
+        return await asyncio.to_thread(
+            tls_problem, url.host, url.port or 0, certificate, called=called, timeout_s=_TLS_TIMEOUT_S
+        )
 
     def _has_crashed_too_often(self) -> bool:
         is_full = len(self._crashes) == self._policy.crashes

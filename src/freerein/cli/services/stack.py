@@ -14,7 +14,8 @@ from typing import Self
 
 import httpx
 
-from freerein.cli.services.endpoints import configured_host, connectable, hold, tls_context
+from freerein.cli.services.certificates import tls_context
+from freerein.cli.services.endpoints import configured_host, connectable, hold
 from freerein.cli.services.process import RestartPolicy, ServiceCommand, ServiceProcess, ServiceStatus
 from freerein.errors import DeadlineExceeded, FailedPrecondition
 from freerein.ports import PORTS, Ports
