@@ -153,7 +153,7 @@ def _check_data_file(
     `sha256` is the recorded hash, if any; `tasks` has the index of each goal text so far, and a new one is added.
     """
     path, schema = layout.trajectory_path(root / "data", index), layout.data_schema(spec)
-    row = meta.describe(path.read_bytes(), index=index, first_frame=first_frame)
+    row = meta.describe(meta.read_data_file(root, index), index=index, first_frame=first_frame)
     rows = read_rows([path], index=index, columns=schema.names)
     if len(rows) != row["length"] or not rows.schema.equals(schema):
         raise InvalidInput(f"The file must hold trajectory {index} alone, in the dataset's columns; it does not.")

@@ -109,10 +109,7 @@ def load(root: Path, spec: DatasetSpec) -> tuple[pa.Table, bool]:
     table = stored.slice(0, valid)
     frames, rows = frame_count(table), list[Row]()
     for index in range(valid, len(files)):
-        data = read_regular(
-            layout.trajectory_path(root / "data", index), name=f"Trajectory {index}", most_bytes=_MOST_DATA_BYTES
-        )
-        rows.append(describe(data, index=index, first_frame=frames))
+        rows.append(describe(read_data_file(root, index), index=index, first_frame=frames))
         frames += rows[-1]["length"]
     is_current = valid == stored.num_rows == len(files) and read_counts(root) == (len(files), frames)
     recorded, given = extended(table, rows), tags.read(root)
@@ -187,6 +184,12 @@ def episodes_schema(spec: DatasetSpec) -> pa.Schema:
     own_place = [("meta/episodes/chunk_index", pa.int64()), ("meta/episodes/file_index", pa.int64())]
     lists = [("tasks", pa.list_(pa.string())), ("skills", pa.list_(pa.string()))]
     return pa.schema([*integers, *lists, ("data/sha256", pa.string()), *statistics_, *own_place])
+
+
+def read_data_file(root: Path, index: int) -> bytes:
+    """Returns the contents of a data file; raises InvalidInput where it is no regular file, or too large."""
+    path = layout.trajectory_path(root / "data", index)
+    return read_regular(path, name=f"Trajectory {index}", most_bytes=_MOST_DATA_BYTES)
 
 
 def describe(data: bytes, *, index: int, first_frame: int) -> Row:

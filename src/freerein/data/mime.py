@@ -20,6 +20,7 @@ from freerein.data.importing import Source
 from freerein.data.layout import DatasetSpec
 from freerein.data.videos import BOUNDS, joined
 from freerein.errors import InvalidInput, NotFound
+from freerein.regular_files import read_regular
 from freerein.types.common import ActionSpec, Trajectory
 from freerein.video import frames_at_rate, open_video
 
@@ -128,7 +129,7 @@ def _spread(values: npt.NDArray[np.float64], length: int) -> npt.NDArray[np.floa
 
 def _text(demonstration: Path, file: str) -> str:
     _check_there(demonstration, file)
-    return (demonstration / file).read_text(errors="replace")
+    return read_regular(demonstration / file, name=_name(demonstration, file)).decode(errors="replace")
 
 
 def _check_there(demonstration: Path, file: str) -> None:
