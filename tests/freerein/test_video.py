@@ -3,6 +3,8 @@
 import os
 import signal
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -239,6 +241,38 @@ def test_a_decoder_that_crashes_is_an_error_of_the_file(encode_video: EncodeVide
         os.kill(decoder.pid, signal.SIGSEGV)
         with pytest.raises(InvalidInput, match="corrupt"):
             list(video)
+
+
+@pytest.mark.fault("S10")
+def test_a_decoder_that_yields_no_first_frame_is_given_up(h264: bytes) -> None:
+    with pytest.raises(InvalidInput, match="each frame within 0 s"):
+        open_video(h264, bounds=VideoBounds(first_frame_s=0.0))
+    assert not decoders()
+
+
+PARENT = """
+import sys, time
+from pathlib import Path
+from freerein.video import open_video
+with open_video(Path(sys.argv[1])) as video:
+    print(video._process.pid, flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.mark.fault("F14")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_decoder_ends_with_its_parent_whatever_it_does(
+    tmp_path: Path, long_video: bytes, number: signal.Signals, wait_until: Callable[..., float]
+) -> None:
+    (tmp_path / "long.mp4").write_bytes(long_video)
+    command = [sys.executable, "-c", PARENT, str(tmp_path / "long.mp4")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        decoder = psutil.Process(int(parent.stdout.readline()))
+        decoder.suspend()  # else it would end as it writes to nobody
+        parent.send_signal(number)
+    wait_until(lambda: not decoder.is_running() or decoder.status() == psutil.STATUS_ZOMBIE, 60)
 
 
 def test_without_a_decoder_it_is_said_how_to_get_one(monkeypatch: pytest.MonkeyPatch, h264: bytes) -> None:

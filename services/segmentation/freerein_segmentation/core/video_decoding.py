@@ -13,12 +13,13 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 from freerein.serving.limits import Slots
 from freerein.types.common import Camera
-from freerein.video import Video, VideoFrame, frames_at_rate, open_video
+from freerein.video import VideoBounds, VideoFrame, frames_at_rate, start_video
 
 T = TypeVar("T")
 
 _PIXELS_AT_ONCE = 2**21
 _MAX_FRAMES_AT_ONCE = 256
+_BOUNDS = VideoBounds(first_frame_s=10.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,10 @@ class VideoChunk:
 
 
 class VideoDecoding:
-    """Decodes videos, on threads of its own: at most `videos` at once, each in a child process."""
+    """Decodes videos, on threads of its own: at most `videos` at once, each in a child process.
+
+    A caller that leaves ends its decoder at once. Its call ends, and its place is free, when its thread is.
+    """
 
     def __init__(self, videos: int) -> None:
         self._slots = Slots(videos, "videos may be decoded")
@@ -54,29 +58,39 @@ class VideoDecoding:
             UnsupportedMedia, Unimplemented: As `open_video`.
         """
         size = (camera.height, camera.width)
+        asked = size if resize else None
         with self._slots.hold():
-            video = await self._open(data, channels=camera.channels, size=size if resize else None)
+            starting = self._run(lambda: start_video(data, channels=camera.channels, size=asked, bounds=_BOUNDS))
             try:
+                video = await _end_of(starting)
+                await _end_of(self._run(video.read_info), stop=video.kill)
                 if not resize and (video.info.height, video.info.width) != size:
                     raise _other_size((video.info.height, video.info.width), size)
                 at_once = max(1, min(_MAX_FRAMES_AT_ONCE, _PIXELS_AT_ONCE // (camera.height * camera.width)))
                 frames = frames_at_rate(video, fps=fps, file="video") if fps else iter(video)
-                while chunk := await self._run(lambda: _take(frames, at_once)):
+                while chunk := await _end_of(self._run(lambda: _take(frames, at_once)), stop=video.kill):
                     yield chunk
             finally:
-                video.kill()  # its thread, which may read, goes on to close it
-                self._threads.submit(video.close)
-
-    async def _open(self, data: bytes, *, channels: int, size: tuple[int, int] | None) -> Video:
-        opening = self._run(lambda: open_video(data, channels=channels, size=size))
-        try:
-            return await asyncio.shield(opening)
-        except asyncio.CancelledError:
-            opening.add_done_callback(_close)
-            raise
+                if starting.exception() is None:
+                    await _end_of(self._run(starting.result().close))
 
     def _run(self, work: Callable[[], T]) -> "asyncio.Future[T]":
         return asyncio.get_running_loop().run_in_executor(self._threads, work)
+
+
+async def _end_of(work: "asyncio.Future[T]", *, stop: Callable[[], None] = lambda: None) -> T:
+    """Returns the result of a thread's work. A caller that leaves stops it, and waits for its end, too."""
+    cancelled: asyncio.CancelledError | None = None
+    while not work.done():
+        try:
+            await asyncio.wait({work})
+        except asyncio.CancelledError as error:
+            cancelled = error
+            stop()
+    if cancelled is not None:
+        work.exception()  # is nobody's any more
+        raise cancelled
+    return work.result()
 
 
 def _take(frames: Iterator[VideoFrame], most: int) -> VideoChunk | None:
@@ -87,12 +101,6 @@ def _take(frames: Iterator[VideoFrame], most: int) -> VideoChunk | None:
     return VideoChunk(
         np.stack([frame.pixels for frame in taken]), np.array([frame.time_s for frame in taken], np.float32)
     )
-
-
-def _close(opening: "asyncio.Future[Video]") -> None:
-    """Closes a video that nobody waits for any more."""
-    if not opening.cancelled() and opening.exception() is None:
-        opening.result().close()
 
 
 def _other_size(found: tuple[int, int], expected: tuple[int, int]) -> InvalidInput:
