@@ -85,6 +85,12 @@ class SessionNotFound(NotFound):
     code = "session_not_found"
 
 
+class RequestTimeout(ServiceError):
+    """The request did not arrive in time."""
+
+    code, http_status, grpc_status = "request_timeout", 408, "DEADLINE_EXCEEDED"
+
+
 class AlreadyExists(ServiceError):
     """The name or idempotency key belongs to something else."""
 

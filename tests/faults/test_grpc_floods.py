@@ -127,7 +127,7 @@ def test_a_message_of_many_values_is_refused_while_others_are_answered(
 def test_messages_that_never_end_hold_no_more_than_all_messages_may(
     faulty: Any, channel: grpc.Channel, http2: Any, wait_until: Any, least_of_many: Any
 ) -> None:
-    size, most = 60 * MIB, Limits().buffered_bytes // Limits().message_bytes
+    size, most = 60 * MIB, Limits().slow_messages
     start = b"\0" + struct.pack(">I", size) + bytes(size - 1)
     quarter = len(start) // 4
 
@@ -203,7 +203,7 @@ def test_health_checks_without_a_message_end_too(faulty: Any, channel: grpc.Chan
     with http2.Http2(faulty.service.grpc_port) as connection:
         calls = [connection.call(HEALTH) for _ in range(limit + 1)]
         ended = [connection.wait_for_end(call, 60) for call in calls]
-    assert ended.count(LATE) <= Limits().buffered_bytes // Limits().message_bytes
+    assert ended.count(LATE) <= Limits().slow_messages
     assert set(ended) <= {OVERLOADED, LATE}
     assert is_healthy(channel)
 

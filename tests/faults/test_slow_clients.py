@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 import gc
+import json
+import select
 import selectors
 import socket
 import ssl
@@ -25,6 +27,10 @@ pytestmark = pytest.mark.e2e
 RECEIPT_S, WRITE_S = 2.0, 3.0
 HEAD = b"GET /healthz HTTP/1.1\r\nhost: localhost\r\n"
 WHOLE = HEAD + b"\r\n"
+CHUNKED = (
+    b"POST /v1/segment HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
+    b"transfer-encoding: chunked\r\n\r\n"
+)
 POST = b"POST /v1/segment HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\ncontent-length: 1000\r\n\r\n"
 
 
@@ -88,6 +94,54 @@ def test_a_client_that_falls_silent_is_cut_off(faulty: Any, least_of_many: Any) 
         return time.monotonic() - begun
 
     assert least_of_many(seconds, below=RECEIPT_S + 1.0) < RECEIPT_S + 1.0
+
+
+LATE = {
+    "header": HEAD,
+    "header of a second request": WHOLE + HEAD,
+    "no body": POST,
+    "part of a body": POST + b"{",
+    "part of a body in chunks": CHUNKED + b"2\r\n{ \r\n",
+    "part of a form": POST.replace(b"application/json", b"multipart/form-data; boundary=x") + b"--x\r\n",
+}
+
+
+@pytest.mark.fault("C7")
+def test_a_request_that_is_late_is_told_so_and_how_to_mend_it(faulty: Any) -> None:
+    counted = 'freerein_calls_total{code="request_timeout",method="Segment",protocol="rest"}'
+    before = faulty.metric(counted)
+    with contextlib.ExitStack() as stack:
+        connections = [stack.enter_context(faulty.connect()) for _ in LATE]
+        for connection, sent in zip(connections, LATE.values(), strict=True):
+            connection.sendall(sent)
+        replies = [exchange(connection) for connection in connections]
+    for reply in replies:
+        head, _, body = reply[reply.rindex(b"HTTP/1.1 ") :].partition(b"\r\n\r\n")
+        problem = json.loads(body)
+        assert head.startswith(b"HTTP/1.1 408 ")
+        assert (problem["status"], problem["code"]) == (408, "request_timeout")
+        assert "within 2 s" in problem["detail"]
+        assert "FREEREIN_RECEIPT_S" in problem["hint"]
+        assert f"x-request-id: {problem['request_id']}".encode() in head
+        assert b"connection: close" in head
+    assert faulty.metric(counted) - before == 4
+
+
+def exchange(connection: socket.socket) -> bytes:
+    received = b""
+    while part := connection.recv(65536):
+        received += part
+    return received
+
+
+@pytest.mark.fault("C7")
+def test_a_client_that_is_late_and_still_sends_reads_the_answer(faulty: Any) -> None:
+    with faulty.connect() as connection:
+        connection.sendall(POST.replace(b": 1000", b": 10000000"))
+        with contextlib.suppress(ConnectionError):
+            while not select.select([connection], [], [], 0.01)[0]:
+                connection.sendall(b" " * 1000)
+        assert connection.recv(65536).startswith(b"HTTP/1.1 408 ")
 
 
 def read_to_the_end(connection: socket.socket) -> None:
@@ -249,9 +303,9 @@ class Stream:
 
 
 @contextlib.asynccontextmanager
-async def serving(app: Stream, write_s: float) -> AsyncIterator[tuple[HttpServer, socket.socket]]:
+async def serving(app: Stream, write_s: float, **bounds: Any) -> AsyncIterator[tuple[HttpServer, socket.socket]]:
     """The HTTP server with an app, and a client that has asked it for its reply."""
-    limits = Limits(write_s=write_s, drain_s=1.0)
+    limits = Limits(write_s=write_s, drain_s=1.0, **bounds)
     server = make_server(app, limits=limits, health=Health(), cert=None, key=None)
     with socket.create_server(("127.0.0.1", 0)) as listener, socket.socket() as client:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 65536)  # the kernel shall hold little of a reply
@@ -293,6 +347,41 @@ async def test_a_reply_that_was_read_shortens_no_deadline_of_the_next() -> None:
         begun = time.monotonic()
         await app.ended.wait()
         assert time.monotonic() - begun > 0.7
+
+
+async def test_a_connection_may_be_idle_for_as_long_as_load_balancers_keep_theirs() -> None:
+    async with serving(Stream(0), 600.0) as (server, client), asyncio.timeout(60):
+        await asyncio.get_running_loop().sock_recv(client, 65536)
+        (connection,) = server.server_state.connections
+        timer = connection.timeout_keep_alive_task
+        assert timer is not None
+        assert timer.when() - asyncio.get_running_loop().time() > 74
+
+
+async def test_idle_connections_are_bounded_and_the_longest_idle_is_closed() -> None:
+    app, loop = Stream(0), asyncio.get_running_loop()
+    async with serving(app, 600.0, idle_connections=2) as (server, first), asyncio.timeout(60):
+        with socket.socket() as second, socket.socket() as third:
+            await read_reply(first)
+            for client in (second, third):
+                client.setblocking(False)
+                await loop.sock_connect(client, server.servers[0].sockets[0].getsockname())
+                client.send(WHOLE)
+                await read_reply(client)
+            while await loop.sock_recv(first, 65536):
+                pass
+            for client in (second, third, second):
+                client.send(WHOLE)
+                assert (await read_reply(client)).startswith(b"HTTP/1.1 200")
+
+
+async def read_reply(client: socket.socket) -> bytes:
+    """Returns a whole reply in chunks."""
+    received = b""
+    while not received.endswith(b"0\r\n\r\n"):
+        received += (part := await asyncio.get_running_loop().sock_recv(client, 65536))
+        assert part
+    return received
 
 
 async def test_a_connection_that_is_closed_is_forgotten_at_once() -> None:

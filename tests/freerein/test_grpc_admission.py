@@ -16,6 +16,7 @@ from freerein.serving.grpc_calls import GrpcCalls
 from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
+from freerein.serving.memory import Memory
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
 from freerein.types.learning import ListModelsResponse
@@ -24,13 +25,13 @@ LIST = "/freerein.api.learning.v1.ModelService/ListModels"
 CHECK, WATCH = "/grpc.health.v1.Health/Check", "/grpc.health.v1.Health/Watch"
 LIMITS = Limits(
     message_bytes=100,
-    buffered_bytes=250,
+    buffered_bytes=450,
     receipt_s=60.0,
     slow_receipt_s=30.0,
     concurrent_calls=2,
     health_calls=2,
     drain_s=60.0,
-)  # two messages may arrive slowly
+)  # two messages may arrive slowly: they have half of the memory
 QUICK = replace(LIMITS, receipt_s=1.5, slow_receipt_s=0.1, drain_s=0.5)
 
 
@@ -93,13 +94,13 @@ async def test_calls_and_health_checks_have_places_of_their_own_and_give_them_ba
 
 async def test_messages_share_the_memory_for_all_until_they_are_answered() -> None:
     core, health = Core(), Health()
-    message = b"\xa2\x06\x39" + bytes(57)  # a field that no message has; three times 60 bytes fit once
+    message = b"\xa2\x06\x4d" + bytes(77)  # a field that no message has; three times 80 bytes fit once
     async with serving(core, health) as (_server, channel):
         for _ in range(2):
             core.answer.clear()
             first = asyncio.create_task(outcome(channel.unary_unary(LIST)(message)))
             await core.called.acquire()
-            assert "At most 250 bytes" in await outcome(channel.unary_unary(LIST)(message))
+            assert "At most 450 bytes" in await outcome(channel.unary_unary(LIST)(message))
             core.answer.set()
             assert await first == "OK"
 
@@ -111,12 +112,35 @@ async def test_a_drain_refuses_new_calls_and_waits_for_those_in_flight() -> None
         await core.called.acquire()
         health.drain()
         draining = asyncio.create_task(server.drain())
-        assert "UNAVAILABLE: The service must be ready" in await outcome(channel.unary_unary(LIST)(b""))
+        sent_before = asyncio.create_task(outcome(channel.unary_unary(LIST)(b"")))
+        await core.called.acquire()
+        while not (refused := await outcome(channel.unary_unary(LIST)(b""))).startswith("UNAVAILABLE"):
+            assert "At most 2 calls" in refused  # the drain refuses none yet
+        assert "The service must be ready" in refused
         assert await outcome(channel.unary_unary(CHECK)(b"")) == "OK"
         assert not draining.done()
         core.answer.set()
-        assert await accepted == "OK"
+        assert await asyncio.gather(accepted, sent_before) == ["OK", "OK"]
         await draining
+
+
+@pytest.mark.fault("F7")
+async def test_callers_that_call_on_are_refused_and_never_cancelled() -> None:
+    core, health = Core(), Health()
+    core.answer.set()
+    async with serving(core, health, replace(LIMITS, concurrent_calls=64)) as (server, channel):
+        outcomes: set[str] = set()
+
+        async def call_on() -> None:
+            while "connect" not in (what := await outcome(channel.unary_unary(LIST)(b""))).lower():
+                outcomes.add(what.partition(":")[0])
+
+        callers = [asyncio.create_task(call_on()) for _ in range(16)]
+        await core.called.acquire()
+        health.drain()
+        await server.drain()
+        await asyncio.gather(*callers)
+    assert outcomes == {"OK", "UNAVAILABLE"}
 
 
 async def test_a_drain_cuts_calls_that_do_not_end() -> None:
@@ -177,7 +201,8 @@ async def admitted_by(admission: Admission) -> AsyncIterator[grpc.aio.Channel]:
 
 
 def admission_with(health: Health, *, token: str = "", **limits: int) -> Admission:
-    return Admission(health, replace(LIMITS, **limits), token=token, calls=GrpcCalls((), Metrics()))
+    own = replace(LIMITS, **limits)
+    return Admission(health, own, Memory(own), token=token, calls=GrpcCalls((), Metrics()))
 
 
 async def test_calls_of_each_kind_are_answered_with_all_their_messages() -> None:
@@ -229,6 +254,8 @@ async def test_calls_that_a_drain_refuses_are_counted() -> None:
         await channel.unary_unary("/test/Echo")(b"")
         assert admission.refused == 0
         health.drain()
+        await channel.unary_unary("/test/Echo")(b"")  # may have been sent before
+        admission.refuse()
         for count in (1, 2):
             assert "UNAVAILABLE" in await outcome(channel.unary_unary("/test/Echo")(b""))
             assert admission.refused == count
@@ -240,7 +267,7 @@ async def test_calls_that_a_drain_refuses_are_counted() -> None:
 @pytest.fixture
 def receive() -> Callable[[], "asyncio.Task[str]"]:
     """A function that begins to receive a message that never comes."""
-    receipts = Receipts(QUICK)
+    receipts = Receipts(QUICK, Memory(QUICK))
 
     async def never() -> str:
         try:
@@ -271,7 +298,7 @@ async def test_a_message_may_take_until_its_deadline_and_few_may_take_long(
 
 
 async def test_a_message_that_comes_late_but_in_time_is_received() -> None:
-    receipts = Receipts(replace(QUICK, receipt_s=60.0))
+    receipts = Receipts(replace(QUICK, receipt_s=60.0), Memory(QUICK))
     loop = asyncio.get_running_loop()
     for _ in range(3):  # more than may arrive slowly at once
         message = loop.create_future()
@@ -280,7 +307,7 @@ async def test_a_message_that_comes_late_but_in_time_is_received() -> None:
 
 
 async def test_messages_that_come_at_once_neither_take_a_place_nor_give_one_back() -> None:
-    receipts = Receipts(replace(QUICK, receipt_s=60.0))
+    receipts = Receipts(replace(QUICK, receipt_s=60.0), Memory(QUICK))
     loop = asyncio.get_running_loop()
 
     async def receive(after_s: float) -> str:

@@ -15,16 +15,16 @@ MIB = 2**20
 GRACE_S = 2  # after the drain, for what is left to close
 SHOWN = {
     "REST body, gRPC message": f"{LIMITS.message_bytes / MIB:g} MiB",
-    "memory for all REST bodies together, three times their length": f"{LIMITS.buffered_bytes / MIB:g} MiB",
+    "memory for all requests, replies and messages of WebSockets together, three times their length": (
+        f"{LIMITS.buffered_bytes / MIB:g} MiB"
+    ),
     "HTTP headers and URL": f"{middleware._MAX_HEADERS} headers, {middleware.MAX_HEADER_BYTES // 1024} KiB together",
     "values in a JSON body, fields and packed numbers in a gRPC message": f"{MAX_VALUES:,}".replace(",", " "),
     "pixels of an image / of all images of a request": (
         f"{images.MAX_PIXELS / 1e6:g} M / {images.MAX_REQUEST_PIXELS / 1e6:g} M"
     ),
     "receiving the first message of a gRPC call (`FREEREIN_RECEIPT_S`)": f"{LIMITS.receipt_s:g} s",
-    f"gRPC messages that take longer than {LIMITS.slow_receipt_s:g} s to arrive": (
-        f"{LIMITS.buffered_bytes // LIMITS.message_bytes}"
-    ),
+    f"gRPC messages that take longer than {LIMITS.slow_receipt_s:g} s to arrive": (f"{LIMITS.slow_messages}"),
     "gRPC calls in progress / on one connection": f"{LIMITS.concurrent_calls} / {LIMITS.connection_calls}",
     "gRPC health checks in progress / health watches, besides other calls": (
         f"{LIMITS.health_calls} / {LIMITS.health_calls}"
@@ -33,7 +33,13 @@ SHOWN = {
     "a unary call (`FREEREIN_UNARY_S`)": f"{LIMITS.unary_s:g} s, or the caller's shorter deadline",
     "items waiting for the model (`FREEREIN_QUEUE`)": f"{LIMITS.queue}",
     "streams open at once, over REST and over gRPC each; robots' WebSockets": f"{LIMITS.streams}",
-    "from SIGTERM to exit": f"{LIMITS.drain_s + GRACE_S:g} s",
+    "HTTP connection without a request after the first (`FREEREIN_KEEP_ALIVE_S`) / such connections": (
+        f"{LIMITS.http_keep_alive_s:g} s / {LIMITS.idle_connections}"
+    ),
+    "between two pings of a WebSocket / from a ping until anything arrives (`FREEREIN_PING_S`)": (
+        f"{LIMITS.ping_s:g} s / {LIMITS.ping_s:g} s"
+    ),
+    "from SIGTERM, and `FREEREIN_DRAIN_DELAY_S` after it, to exit": f"{LIMITS.drain_s + GRACE_S:g} s",
 }
 
 

@@ -12,6 +12,7 @@ from starlette.types import Receive, Scope, Send
 
 from freerein.serving.call_recorder import OTHER, CallRecorder
 from freerein.serving.limits import Limits
+from freerein.serving.memory import Memory
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest.middleware import RequestMiddleware
 from freerein.serving.rest.origin_policy import OriginPolicy
@@ -49,7 +50,13 @@ def client(reader: Reader, metrics: Metrics) -> httpx.AsyncClient:
     recorders = {"/": CallRecorder(metrics, "rest", "Read")}
     other = CallRecorder(metrics, "rest", OTHER)
     app = RequestMiddleware(
-        reader, limits=limits, token="", origin_policy=OriginPolicy(), recorders=recorders, other=other
+        reader,
+        limits=limits,
+        memory=Memory(limits),
+        token="",
+        origin_policy=OriginPolicy(),
+        recorders=recorders,
+        other=other,
     )
     return httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://x")
 

@@ -68,6 +68,7 @@ class Call:
     Attributes:
         body: What has arrived.
         status: The reply's status, 0 until it begins.
+        headers: Its headers.
         asked: Set when the app waits for the first item, or for the client to leave.
         begun: Set when the reply begins.
         received: Set when the first part of the body arrives.
@@ -79,6 +80,7 @@ class Call:
         self, app: Starlette, path: str, *, run_id: str = "0" * 32, reads: bool = True, method: str = "GET"
     ) -> None:
         self.status, self.body = 0, b""
+        self.headers: dict[bytes, bytes] = {}
         self.asked, self.begun, self.received = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self.commented = asyncio.Event()
         self.reading, self._gone = asyncio.Event(), asyncio.Event()
@@ -95,6 +97,7 @@ class Call:
 
     async def _send(self, message: Any) -> None:
         self.status = message.get("status", self.status)
+        self.headers |= dict(message.get("headers", ()))
         self.begun.set()
         await self.reading.wait()
         if message.get("body"):
@@ -140,6 +143,19 @@ async def test_a_stream_of_events_has_comments_where_it_has_no_events(core: Core
     await soon(call.commented.wait())
     await call.leave()
     assert (call.status, call.body.count(b"id: 0\ndata: {"), core.open) == (200, bool(run_id), 0)
+
+
+@pytest.mark.parametrize("method", ["GET", "HEAD"])
+@pytest.mark.parametrize(("path", "is_unbuffered"), [(EVENTS, True), (FILE, False)])
+async def test_a_proxy_is_told_to_hold_no_event_back(
+    app: Starlette, path: str, is_unbuffered: bool, method: str
+) -> None:
+    call = Call(app, path, method=method)
+    await soon(call.begun.wait())
+    await call.leave()
+    assert (call.headers.get(b"x-accel-buffering"), call.headers.get(b"cache-control")) == (
+        (b"no", b"no-cache") if is_unbuffered else (None, None)
+    )
 
 
 @pytest.mark.parametrize("path", [EVENTS, FILE])

@@ -10,7 +10,8 @@ import pytest
 from freerein import wire
 from freerein.api.reward.v1 import reward_pb2
 from freerein.clients import Channel, RewardClient
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, NotFound
+from freerein.serving.error_replies import close_reason
 from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
@@ -54,6 +55,29 @@ async def test_over_rest_a_name_of_any_length_is_a_problem_of_at_most_4_kib(char
     assert (reply.status_code, reply.json()["code"]) == (422, "invalid_input")
     assert reply.json()["field"] == "frames"
     assert len(reply.content) <= 4096
+
+
+@pytest.mark.parametrize(
+    ("detail", "hint", "reason"),
+    [
+        ("A thing is.", "Do that.", "not_found: Do that. A thing is."),
+        ("A thing is.", "", "not_found: A thing is."),
+        (
+            "A thing that is described at " + "length and " * 10 + "so that it does not fit.",
+            "Do that.",
+            "not_found: Do that.",
+        ),
+        ("A thing is.", "Do this at a.b:1/?c.d=e first. " + "Then do that. " * 20, None),
+        ("A thing is.", "word " * 50, None),
+        ("A thing is.", "\u00e4" * 500, None),
+    ],
+)
+def test_a_close_frame_has_whole_sentences_and_the_hint_first(detail: str, hint: str, reason: str | None) -> None:
+    found = close_reason(NotFound(detail, hint=hint))
+    assert len(found.encode()) <= 123
+    assert found.startswith("not_found:")
+    assert reason is None or found == reason
+    assert not hint.startswith("Do this") or found.endswith("Then do that.")
 
 
 def refused(camera: str) -> RewardRequest:

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import re
 
 import grpc
 import orjson
@@ -15,12 +16,14 @@ from freerein.serving.rest.wording import with_paths
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 GRPC_DOMAIN = "freerein"
 _MAX_TEXT_BYTES = 800  # per field: documents stay below 4 KiB, gRPC metadata below the 8 KiB that clients accept
+_MAX_REASON_BYTES = 123  # of a close frame
 TITLES = {
     400: "Malformed request",
     401: "Unauthenticated",
     403: "Permission denied",
     404: "Not found",
     405: "Method not allowed",
+    408: "Request timeout",
     409: "Conflict",
     413: "Too large",
     415: "Unsupported media type",
@@ -62,6 +65,20 @@ def error_line(error: ServiceError, request_id: str) -> str:
     return f"{_sanitised(text)} (request {request_id})"
 
 
+def close_reason(error: ServiceError) -> str:
+    """Returns an error for the close frame of a WebSocket: its code, then the hint and the detail, in whole sentences.
+
+    The first sentence is cut after a word where it is too long alone.
+    """
+    text = _sanitised(with_paths(f"{error.hint} {error.detail}".strip()))
+    reason, *sentences = re.split(r"(?<=[.!?]) +", f"{error.code}: {text}")
+    while sentences and len(f"{reason} {sentences[0]}".encode()) <= _MAX_REASON_BYTES:
+        reason = f"{reason} {sentences.pop(0)}"
+    while len(reason.encode()) > _MAX_REASON_BYTES:
+        reason = reason.rpartition(" ")[0]
+    return reason
+
+
 def problem_headers(error: ServiceError, request_id: str) -> dict[str, str]:
     """Returns the HTTP headers of an error's reply."""
     headers = {"content-type": PROBLEM_MEDIA_TYPE, "x-request-id": request_id}
@@ -69,7 +86,7 @@ def problem_headers(error: ServiceError, request_id: str) -> dict[str, str]:
         headers["retry-after"] = str(max(1, math.ceil(error.retry_after_s)))
     if error.http_status == 401:
         headers["www-authenticate"] = "Bearer"
-    if error.http_status in (400, 413):
+    if error.http_status in (400, 408, 413):
         headers["connection"] = "close"  # the end of this request's body is unknown, or still to come
     return headers
 

@@ -5,16 +5,17 @@ import inspect
 from collections.abc import AsyncIterator, Awaitable
 from contextlib import ExitStack, aclosing
 from functools import cache
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import grpc
 from grpc_health.v1 import health_pb2
 
-from freerein.errors import DeadlineExceeded, MalformedRequest, Overloaded, ServiceError
+from freerein.errors import DeadlineExceeded, MalformedRequest, Overloaded, ServiceError, Unavailable
 from freerein.serving import auth
 from freerein.serving.grpc_calls import Context, GrpcCalls
 from freerein.serving.health import Health
 from freerein.serving.limits import COPIES, Limits, Slots
+from freerein.serving.memory import Memory
 
 _HEALTH_METHODS = f"/{health_pb2.DESCRIPTOR.services_by_name['Health'].full_name}/"
 T = TypeVar("T")
@@ -27,20 +28,23 @@ class Admission(grpc.aio.ServerInterceptor):
     message takes to arrive nor what all messages hold meanwhile.
 
     Attributes:
+        admitted: Calls admitted so far, without health checks.
         refused: Calls refused so far because of the graceful shutdown.
     """
 
-    def __init__(self, health: Health, limits: Limits, *, token: str, calls: GrpcCalls) -> None:
-        self.refused = 0
+    def __init__(self, health: Health, limits: Limits, memory: Memory, *, token: str, calls: GrpcCalls) -> None:
+        self.admitted = self.refused = 0
         self._health = health
+        self._memory = memory
         self._token = token
         self._answered = calls.answered
+        self._refuses = self._holds = False
+        self._released = asyncio.Event()
         self._calls = Slots(limits.concurrent_calls, "calls may be in progress")
         self._streams = Slots(limits.streams, "streams may be open")
         self._health_calls = Slots(limits.health_calls, "health checks may be in progress")
         self._watches = Slots(limits.health_calls, "health watches may be open")
-        self._bytes = Slots(limits.buffered_bytes, "bytes of messages and what is parsed of them may be in memory")
-        self._receipts = Receipts(limits)
+        self._receipts = Receipts(limits, memory)
         self._received = cache(self._receive_first)
 
     async def intercept_service(self, continuation: Any, details: grpc.HandlerCallDetails) -> Any:
@@ -61,6 +65,7 @@ class Admission(grpc.aio.ServerInterceptor):
                 places.enter_context(self._calls.hold())
                 if is_stream:
                     places.enter_context(self._streams.hold())
+                self.admitted += 1
         except ServiceError as error:
             return self._refusal(error, details.method)
         return handler and self._received(handler, details.method)
@@ -70,14 +75,29 @@ class Admission(grpc.aio.ServerInterceptor):
         """Calls in progress, without health checks."""
         return self._calls.taken
 
+    def refuse(self) -> None:
+        """Refuses new calls from now on."""
+        self._refuses = True
+
+    def hold(self) -> None:
+        """Leaves the calls that it refuses without an answer until `release`, so that their callers send no others."""
+        self._holds = True
+
+    def release(self) -> None:
+        """Answers the calls that were held, and later ones at once."""
+        self._holds = False
+        self._released.set()
+
     def _check_draining(self) -> None:
-        if self._health.draining:
+        if self._refuses:
             self.refused += 1
             raise self._health.error()
 
     def _refusal(self, refusal: ServiceError, path: str) -> Any:
         async def refuse(_messages: Any, context: Context) -> None:
             async with self._answered(path, context):
+                if self._holds and isinstance(refusal, Unavailable):
+                    await self._released.wait()
                 raise refusal
 
         return grpc.stream_stream_rpc_method_handler(refuse)
@@ -95,8 +115,7 @@ class Admission(grpc.aio.ServerInterceptor):
             if first is grpc.aio.EOF:
                 raise MalformedRequest("A call must send a message; it sent none.", hint="Use a gRPC client.")
             if isinstance(first, bytes):  # not of health and reflection, whose messages are small
-                self._bytes.take(size := COPIES * len(first))
-                cast(Any, context).add_done_callback(lambda _: self._bytes.free(size))  # stubs want another type
+                self._memory.share_of_task().take(COPIES * len(first))
             return _stream(first, context) if handler.request_streaming else first
 
         async def call(_messages: Any, context: Context) -> Any:
@@ -120,13 +139,13 @@ class Admission(grpc.aio.ServerInterceptor):
 class Receipts:
     """Receives first messages within a deadline, and a few of them slowly.
 
-    A message can take its greatest size in memory while it arrives, so as many may arrive slowly at once as fit into
-    `Limits.buffered_bytes`.
+    A message can take its greatest size in memory while it arrives, so each that arrives slowly has that of the memory.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: Limits, memory: Memory) -> None:
         self._limits = limits
-        self._slow = Slots(limits.buffered_bytes // limits.message_bytes, "messages may arrive slowly")
+        self._memory = memory
+        self._slow = Slots(limits.slow_messages, "messages may arrive slowly")
 
     async def receive(self, message: Awaitable[T]) -> T:
         """Returns a message.
@@ -137,29 +156,29 @@ class Receipts:
         """
         loop = asyncio.get_running_loop()
         refusal: ServiceError = DeadlineExceeded(
-            f"A message must arrive within {self._limits.receipt_s:g} s; this one did not.", hint="Send it faster."
+            f"A message must arrive within {self._limits.receipt_s:g} s; this one did not.",
+            hint="Send it faster, or raise FREEREIN_RECEIPT_S for slow lines.",
         )
-        is_slow = False
+        slow = ExitStack()
 
         def take_slow_place() -> None:
-            nonlocal is_slow, refusal
+            nonlocal refusal
             try:
-                self._slow.take()
-                is_slow = True
+                slow.enter_context(self._slow.hold())
+                slow.enter_context(self._memory.share()).take(self._limits.message_bytes)
             except Overloaded as error:
                 refusal = error
                 deadline.reschedule(loop.time())
 
         timer = loop.call_later(self._limits.slow_receipt_s, take_slow_place)
         try:
-            async with asyncio.timeout(self._limits.receipt_s) as deadline:
-                return await message
+            with slow:
+                async with asyncio.timeout(self._limits.receipt_s) as deadline:
+                    return await message
         except TimeoutError:
             raise refusal from None
         finally:
             timer.cancel()
-            if is_slow:
-                self._slow.free()
 
 
 async def _stream(first: Any, context: Context) -> AsyncIterator[Any]:

@@ -17,13 +17,17 @@ from freerein.serving.grpc_calls import Context, GrpcCalls
 from freerein.serving.grpc_messages import decode, decode_part
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
+from freerein.serving.memory import Memory, Share, encode
 from freerein.serving.methods import Method, service_names
 from freerein.serving.metrics import Metrics
 
 _HEALTH_SERVICE = health_pb2.DESCRIPTOR.services_by_name["Health"].full_name
 _HEALTH_PERIOD_S = 0.2
+_SENT_BEFORE_S = 0.5  # how long calls that were sent before SIGTERM may take to arrive
 _QUIET_S = 0.1
 _QUIET_WITHIN_S = 1.0
+_TOLD_S = 0.05
+_STOP_S = 0.5
 _LOOKAHEAD_BYTES = 4 * 2**20
 
 
@@ -34,13 +38,22 @@ class GrpcServer:
     """
 
     def __init__(
-        self, methods: Sequence[Method], *, health: Health, metrics: Metrics, limits: Limits, token: str = ""
+        self,
+        methods: Sequence[Method],
+        *,
+        health: Health,
+        metrics: Metrics,
+        limits: Limits,
+        memory: Memory | None = None,
+        token: str = "",
     ) -> None:
         self._health = health
         self._limits = limits
+        self._memory = memory or Memory(limits)
         self._names = service_names(methods)
         self._health_servicer = _HealthServicer(("", *self._names))
-        self._admission = Admission(health, limits, token=token, calls=GrpcCalls(methods, metrics))
+        calls = GrpcCalls(methods, metrics)
+        self._admission = Admission(health, limits, self._memory, token=token, calls=calls)
         self.server = grpc.aio.server(
             interceptors=[self._admission],
             options=[
@@ -69,19 +82,22 @@ class GrpcServer:
     async def drain(self) -> None:
         """Stops the server once the calls in flight have ended, at the latest after `Limits.drain_s`.
 
-        Until then, and until no call was refused for a moment, it refuses new calls: gRPC cancels those that it has
-        not begun when it stops.
+        For a moment it still admits calls, which may have been sent before; then it refuses new ones. When it stops,
+        gRPC cancels those that it has not begun. So refusals are held back at last, until no caller sends another call,
+        and answered once callers are told that the connection ends.
         """
-        loop = asyncio.get_running_loop()
+        loop, admission = asyncio.get_running_loop(), self._admission
         cut_at = loop.time() + self._limits.drain_s
-        quiet_by = loop.time() + _QUIET_WITHIN_S
-        refused = -1
-        while loop.time() < cut_at and (
-            self._admission.in_progress or (refused != self._admission.refused and loop.time() < quiet_by)
-        ):
-            refused = self._admission.refused
+        await _until_unchanged(lambda: admission.admitted, within_s=_SENT_BEFORE_S)
+        admission.refuse()
+        while admission.in_progress and loop.time() < cut_at:  # noqa: ASYNC110  # calls end in many ways
             await asyncio.sleep(_QUIET_S)
-        await self.server.stop(_QUIET_S)  # health watches are all that is left, or what is cut
+        admission.hold()
+        await _until_unchanged(lambda: admission.refused, within_s=_QUIET_WITHIN_S)
+        stopping = asyncio.ensure_future(self.server.stop(_STOP_S))  # held calls and health watches, or what is cut
+        await asyncio.sleep(_TOLD_S)
+        admission.release()
+        await stopping
 
     async def report_health(self) -> None:
         """Copies readiness to the standard health service until the graceful shutdown begins."""
@@ -109,7 +125,7 @@ class GrpcServer:
             try:
                 async with asyncio.timeout(_timeout_s(context, self._limits.unary_s)):
                     response = await method.call(await decode(message, method.request))
-                    return wire.pack(response).SerializeToString()
+                    return await encode(response, _serialised, self._memory.share_of_task())
             except TimeoutError:
                 raise DeadlineExceeded("The reply was not ready in time.", hint="Send less per call.") from None
 
@@ -122,16 +138,19 @@ class GrpcServer:
             else:
                 request = await decode(incoming, method.request)
             async with aclosing(method.call(request)) as responses:
-                unread = await self._write_all(responses, context)
+                unread = await self._write_all(responses, context, self._memory.share_of_task())
             if unread is not None:
                 await self._end_unread(unread)
 
         return answer
 
-    async def _write_all(self, responses: AsyncIterator[object], context: Context) -> "asyncio.Future[None] | None":
+    async def _write_all(
+        self, responses: AsyncIterator[object], context: Context, share: Share
+    ) -> "asyncio.Future[None] | None":
         """Writes responses until one is left unread for `write_s`; returns its writing, None when all are written."""
         async for response in responses:
-            writing = asyncio.ensure_future(context.write(wire.pack(response).SerializeToString()))
+            share.resize(0)  # what was written before is read, or will be soon
+            writing = asyncio.ensure_future(context.write(await encode(response, _serialised, share)))
             if not await _ends(writing, within_s=self._limits.write_s):
                 return writing
             if isinstance(writing.exception(), grpc.aio.InternalError):  # the client is gone, or its deadline ended
@@ -163,6 +182,19 @@ class _HealthServicer(health_aio.HealthServicer):
         replies = [await self.Check(request, context) for request in asked]
         response: Any = vars(health_pb2)["HealthListResponse"]  # its stubs leave it out
         return response(statuses=dict(zip(self._names, replies, strict=True)))
+
+
+async def _until_unchanged(count: Callable[[], int], *, within_s: float) -> None:
+    """Waits until a count has not changed for a moment."""
+    loop, before = asyncio.get_running_loop(), -1
+    give_up_at = loop.time() + within_s
+    while before != count() and loop.time() < give_up_at:
+        before = count()
+        await asyncio.sleep(_QUIET_S)
+
+
+def _serialised(response: object) -> bytes:
+    return wire.pack(response).SerializeToString()
 
 
 async def _decode_stream(messages: AsyncIterator[bytes], cls: type[Any]) -> AsyncIterator[Any]:

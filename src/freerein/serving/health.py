@@ -18,10 +18,13 @@ class Health:
     def __init__(self, not_ready: Callable[[], str] = lambda: "") -> None:
         self._not_ready = not_ready
         self._draining = asyncio.Event()
+        self._leaving = False
 
     def reason(self) -> str:
         """Returns why the service is not ready, empty when it is."""
-        return "It is draining." if self._draining.is_set() else self._not_ready()
+        if self._draining.is_set():
+            return "It is draining."
+        return "It is about to drain." if self._leaving else self._not_ready()
 
     def error(self) -> Unavailable:
         """Returns the error of a call to a service that is not ready."""
@@ -33,6 +36,10 @@ class Health:
     def draining(self) -> bool:
         """Whether the graceful shutdown has begun."""
         return self._draining.is_set()
+
+    def leave(self) -> None:
+        """Makes the service not ready from now on, so that load balancers choose others; it answers as before."""
+        self._leaving = True
 
     def drain(self) -> None:
         """Begins the graceful shutdown: the service is not ready from now on, and waiting streams end."""

@@ -27,6 +27,7 @@ from freerein.serving import logs
 from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
+from freerein.serving.memory import Memory
 from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest.app import make_app
@@ -101,10 +102,13 @@ async def _serve(settings: S, build: Build[S]) -> int:
         receipt_s=settings.receipt_s,
         write_s=settings.write_s,
         idle_s=settings.idle_s,
+        http_keep_alive_s=settings.keep_alive_s,
+        ping_s=settings.ping_s,
+        drain_delay_s=settings.drain_delay_s,
         unary_s=settings.unary_s,
         queue=settings.queue,
     )
-    metrics, token = Metrics(), settings.token_text
+    metrics, memory, token = Metrics(), Memory(limits), settings.token_text
     built: list[Service] = []
     health = Health(lambda: built[0].not_ready() if built else "It is starting.")
     service = build(settings, limits, metrics, health)
@@ -115,12 +119,13 @@ async def _serve(settings: S, build: Build[S]) -> int:
         health=health,
         metrics=metrics,
         limits=limits,
+        memory=memory,
         token=token,
         origins=settings.origins,
         is_local=settings.is_local,
         open_websocket=service.open_websocket,
     )
-    grpc_server = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits, token=token)
+    grpc_server = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits, memory=memory, token=token)
     ports = _chosen_ports(service.name, settings)
     try:
         listener, grpc_port = _bind_both(grpc_server, settings, ports)
@@ -132,8 +137,15 @@ async def _serve(settings: S, build: Build[S]) -> int:
             CONFIGURATION_ERROR,
         )
     cert, key = (str(path) if path else None for path in (settings.tls_cert, settings.tls_key))
-    has_websocket = service.open_websocket is not None
-    http_server = make_server(app, limits=limits, health=health, cert=cert, key=key, has_websocket=has_websocket)
+    http_server = make_server(
+        app,
+        limits=limits,
+        health=health,
+        cert=cert,
+        key=key,
+        memory=memory,
+        has_websocket=service.open_websocket is not None,
+    )
     rest = asyncio.create_task(http_server.serve(sockets=[listener]))
     await grpc_server.server.start()
     http_port = listener.getsockname()[1]

@@ -22,9 +22,10 @@ class Limits:
 
     Attributes:
         message_bytes: Bytes of one REST body or gRPC message.
-        buffered_bytes: Bytes of memory for all REST bodies together, and for what is parsed of them; as much for the
-            first messages of all gRPC calls, and for those that arrive slowly.
-        receipt_s: Seconds to receive a whole HTTP request, or the first message of a gRPC call.
+        buffered_bytes: Bytes of memory for requests and replies together, with what is made of them: REST bodies, first
+            messages of gRPC calls, messages of WebSockets, and replies until they are sent.
+        receipt_s: Seconds to receive a whole HTTP request, the first message of a gRPC call, or a message of a
+            WebSocket.
         slow_receipt_s: Seconds after which a gRPC message arrives slowly.
         write_s: Seconds that a client may leave a reply unread.
         unary_s: Seconds from request to reply of a unary call; a caller's shorter deadline takes precedence.
@@ -33,13 +34,16 @@ class Limits:
         streams: Streams open at once, over REST and over gRPC each; as many WebSockets.
         websocket_bytes: Bytes of one message of a WebSocket.
         idle_s: Seconds that a WebSocket may be open without a message.
+        http_keep_alive_s: Seconds that an HTTP connection may be open without a request after the first.
+        idle_connections: HTTP connections open at once without a request after the first.
         keep_alive_s: Seconds without an event after which a stream of them has a comment.
-        ping_s: Seconds between two pings of a WebSocket, and from a ping to its answer.
+        ping_s: Seconds between two pings of a WebSocket, and from a ping until anything arrives.
         videos: Videos being decoded at once.
         concurrent_calls: gRPC calls in progress at once, without health checks.
         connection_calls: gRPC calls in progress at once on one connection.
         health_calls: gRPC health checks in progress at once.
-        drain_s: Seconds from SIGTERM until calls in flight are cut.
+        drain_delay_s: Seconds after SIGTERM in which a service that is no longer ready answers as before.
+        drain_s: Seconds from then until calls in flight are cut.
     """
 
     message_bytes: int = 64 * 2**20
@@ -53,13 +57,21 @@ class Limits:
     streams: int = 64
     websocket_bytes: int = 8 * 2**20
     idle_s: float = 600.0
+    http_keep_alive_s: float = 75.0
+    idle_connections: int = 512
     keep_alive_s: float = 3.0
     ping_s: float = 10.0
     videos: int = 2
     concurrent_calls: int = 512
     connection_calls: int = 256
     health_calls: int = 64
+    drain_delay_s: float = 0.0
     drain_s: float = 8.0
+
+    @property
+    def slow_messages(self) -> int:
+        """How many gRPC messages may arrive slowly at once: each can take its greatest size, all half of the memory."""
+        return self.buffered_bytes // (2 * self.message_bytes)
 
 
 class Slots:

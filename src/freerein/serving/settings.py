@@ -29,9 +29,13 @@ class ServiceSettings(EnvironmentSettings):
         insecure: Allows a bind beyond loopback without token and TLS.
         log_level: Least level of the lines of the log; `debug` has unary calls that succeed, too.
         data_dir: Folder of datasets, models, fits and runs.
-        receipt_s: Seconds that a client has to send a whole request.
+        receipt_s: Seconds that a client has to send a whole request, or a whole message of a WebSocket.
         write_s: Seconds that a client may leave a reply unread.
         idle_s: Seconds that a robot's WebSocket may be open without a message.
+        keep_alive_s: Seconds that an HTTP connection may be open without a request after the first.
+        ping_s: Seconds between two pings of a robot's WebSocket, and from a ping until anything arrives.
+        drain_delay_s: Seconds after SIGTERM in which the service is not ready but answers as before, for load balancers
+            to notice.
         unary_s: Seconds from request to reply of a unary call; a model call of four times as long ends the process.
         queue: Items that may wait for the model.
         cors_origins: Origins whose web pages may call the REST API, separated by commas, such as
@@ -50,6 +54,9 @@ class ServiceSettings(EnvironmentSettings):
     receipt_s: float = Field(default=10.0, gt=0, le=600)
     write_s: float = Field(default=30.0, gt=0, le=600)
     idle_s: float = Field(default=600.0, gt=0, le=86400)
+    keep_alive_s: float = Field(default=75.0, gt=0, le=86400)
+    ping_s: float = Field(default=10.0, gt=0, le=3600)
+    drain_delay_s: float = Field(default=0.0, ge=0, le=600)
     unary_s: float = Field(default=30.0, gt=0, le=3600)
     queue: int = Field(default=256, ge=1, le=65536)
     cors_origins: str = ""

@@ -22,17 +22,20 @@ from freerein.serving.call_recorder import OTHER, CallRecorder
 from freerein.serving.error_replies import problem_document, problem_headers
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits, Slots
+from freerein.serving.memory import Memory, encode
 from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest import body, pictures, tensor_lists
 from freerein.serving.rest.docs_page import docs_routes
-from freerein.serving.rest.middleware import RequestMiddleware
+from freerein.serving.rest.middleware import REQUEST_ID, SHARE, RequestMiddleware
 from freerein.serving.rest.openapi import MEDIA_TYPES, api_title, openapi_document
 from freerein.serving.rest.origin_policy import OriginPolicy
 from freerein.serving.rest.websocket import PATH, OpenSession, WebSocketEndpoint
 
 _Endpoint = Callable[[Request], Awaitable[Response]]
 _SILENCE = object()
+_PIECE_BYTES = 256 * 1024
+_UNBUFFERED = {"cache-control": "no-cache", "x-accel-buffering": "no"}  # by nginx, which else keeps events for long
 
 
 def make_app(
@@ -42,6 +45,7 @@ def make_app(
     health: Health,
     metrics: Metrics,
     limits: Limits,
+    memory: Memory | None = None,
     token: str = "",
     origins: Sequence[str] = (),
     is_local: bool = False,
@@ -50,7 +54,7 @@ def make_app(
     """Returns the REST API of a service; methods without a REST form are served over gRPC only.
 
     An empty `token` allows every call. Web pages of the `origins` may call it, too. With `is_local`, it must be called
-    by a name of loopback. With `open_websocket` it has a WebSocket.
+    by a name of loopback. With `open_websocket` it has a WebSocket. Without `memory`, it has all of the limits' alone.
     """
     origin_policy = OriginPolicy(origins, is_local)
     served = [method for method in methods if method.rest_form != "none"]
@@ -63,7 +67,7 @@ def make_app(
         endpoint = WebSocketEndpoint(
             open_websocket, health=health, metrics=metrics, limits=limits, token=token, origin_policy=origin_policy
         )
-        routes.append(WebSocketRoute(PATH, endpoint.serve))
+        routes += [WebSocketRoute(PATH, endpoint.serve), WebSocketRoute("/{elsewhere:path}", endpoint.refuse_path)]
     app = Starlette(routes=routes, exception_handlers={HTTPException: _answer_http_exception})
     app.router.redirect_slashes = False
     recorders = {
@@ -71,7 +75,13 @@ def make_app(
     }
     other = CallRecorder(metrics, "rest", OTHER)
     app.add_middleware(
-        RequestMiddleware, limits=limits, token=token, origin_policy=origin_policy, recorders=recorders, other=other
+        RequestMiddleware,
+        limits=limits,
+        memory=memory or Memory(limits),
+        token=token,
+        origin_policy=origin_policy,
+        recorders=recorders,
+        other=other,
     )
     if origins:  # outermost: a browser asks for leave without the token
         app.add_middleware(
@@ -111,12 +121,15 @@ def _unary(method: Method, limits: Limits) -> _Endpoint:
 def _writer(request: Request, method: Method) -> Callable[[Any], Awaitable[Response]]:
     """Returns what writes a reply in the form that a request asks for."""
 
+    def json_of(response: Any) -> bytes:
+        return orjson.dumps(tensor_lists.reply_json(response) if form else wire.to_json(response))
+
     async def json_reply(response: Any) -> Response:
-        values = tensor_lists.reply_json(response) if form else wire.to_json(response)
-        return Response(orjson.dumps(values), media_type=MEDIA_TYPES["reply"])
+        return _Reply(await encode(response, json_of, request.scope[SHARE]), media_type=MEDIA_TYPES["reply"])
 
     async def png_reply(response: Any) -> Response:
-        return Response(await asyncio.to_thread(pictures.png_of, response.frames), media_type=pictures.MEDIA_TYPE)
+        png = await encode(response, lambda rendered: pictures.png_of(rendered.frames), request.scope[SHARE])
+        return _Reply(png, media_type=pictures.MEDIA_TYPE)
 
     form = "" if method.reads else request.query_params.get(tensor_lists.PARAMETER, "")
     if form not in ("", tensor_lists.LIST):
@@ -130,6 +143,19 @@ def _writer(request: Request, method: Method) -> Callable[[Any], Awaitable[Respo
     return json_reply
 
 
+class _Reply(Response):
+    """A response that is sent in pieces: the rest of a large one counts until the client has read what is before."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if len(self.body) <= _PIECE_BYTES:
+            await super().__call__(scope, receive, send)
+            return
+        await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
+        for at in range(0, len(self.body), _PIECE_BYTES):
+            piece, is_last = self.body[at : at + _PIECE_BYTES], at + _PIECE_BYTES >= len(self.body)
+            await send({"type": "http.response.body", "body": piece, "more_body": not is_last})
+
+
 def _stream(method: Method, limits: Limits, slots: Slots) -> _Endpoint:
     """Answers with server-sent events, or with the bytes of a file.
 
@@ -137,7 +163,7 @@ def _stream(method: Method, limits: Limits, slots: Slots) -> _Endpoint:
     a comment keeps the connection open and shows that the service lives.
     """
     is_events = method.rest_form == "events"
-    encode, silence_s = (_encode_event, limits.keep_alive_s) if is_events else (_encode_part, None)
+    encode_item, silence_s = (_encode_event, limits.keep_alive_s) if is_events else (_encode_part, None)
 
     async def answer(request: Request) -> Response:
         message = body.read_query(request, method.request)
@@ -149,9 +175,11 @@ def _stream(method: Method, limits: Limits, slots: Slots) -> _Endpoint:
             heard = await resources.enter_async_context(aclosing(_with_silences(items, silence_s)))
             # awaited before the reply begins, so that an unknown id is a 404, not a broken stream
             first = await _unless_disconnected(request, anext(heard, None), None)
+            media_type, headers = MEDIA_TYPES[method.rest_form], _UNBUFFERED if is_events else {}
             if request.method == "HEAD":
-                return Response(media_type=MEDIA_TYPES[method.rest_form])
-            return _StreamResponse(_encoded(first, heard, encode), MEDIA_TYPES[method.rest_form], resources.pop_all())
+                return Response(media_type=media_type, headers=headers)
+            content = _encoded(first, heard, encode_item)
+            return _StreamResponse(content, resources.pop_all(), media_type=media_type, headers=headers)
 
     return answer
 
@@ -177,8 +205,8 @@ async def _with_silences(items: AsyncIterator[Any], silence_s: float | None) -> 
 class _StreamResponse(StreamingResponse):
     """A streaming response that releases its resources when it ends, whether or not its body was iterated."""
 
-    def __init__(self, content: AsyncIterator[bytes], media_type: str, resources: AsyncExitStack) -> None:
-        super().__init__(content, media_type=media_type)
+    def __init__(self, content: AsyncIterator[bytes], resources: AsyncExitStack, **options: Any) -> None:
+        super().__init__(content, **options)
         self._resources = resources
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -250,7 +278,7 @@ def _health_and_metrics_routes(health: Health, metrics: Metrics) -> list[BaseRou
 
 
 def _respond(request: Request, error: ServiceError) -> Response:
-    request_id = request.scope.get("freerein.request_id", "")
+    request_id = request.scope.get(REQUEST_ID, "")
     request.scope["freerein.code"] = error.code
     return Response(problem_document(error, request_id), error.http_status, problem_headers(error, request_id))
 

@@ -1,22 +1,26 @@
 """uvicorn with deadlines for handshakes, requests and replies, no tiny chunks, and exit code 0 on SIGTERM."""
 
 import asyncio
+import math
 import socket
+import time
 import uuid
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import h11
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from freerein.errors import MalformedRequest
+from freerein.errors import MalformedRequest, ServiceError
 from freerein.serving.error_replies import problem_document, problem_headers
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
-from freerein.serving.rest.middleware import MAX_HEADER_BYTES
+from freerein.serving.memory import Memory
+from freerein.serving.rest.middleware import LATE, MAX_HEADER_BYTES, REQUEST_ID, late_request
 
 _MIN_MEAN_CHUNK_BYTES = 64
 _MIN_BYTES_IN_CHUNKS = 16 * 1024  # fewer may come in chunks of any size
+_LINGER_S = 0.5
 
 
 class BoundedConnection(h11.Connection):
@@ -41,11 +45,17 @@ class BoundedConnection(h11.Connection):
 
 
 class DeadlineProtocol(H11Protocol):
-    """Closes a connection whose client sends its request, or reads its reply, too slowly, or sends nothing."""
+    """Ends a connection whose client sends its request, or reads its reply, too slowly, or sends nothing.
+
+    Attributes:
+        idle: The connections that wait for another request, those that wait longest first.
+    """
 
     limits: ClassVar[Limits]
+    idle: ClassVar[dict["DeadlineProtocol", None]]
     _receive_timer: asyncio.TimerHandle | None = None
     _write_timer: asyncio.TimerHandle | None = None
+    _is_late = False
 
     def __init__(self, config: uvicorn.Config, *args: Any, **kwargs: Any) -> None:
         super().__init__(config, *args, **kwargs)
@@ -58,15 +68,18 @@ class DeadlineProtocol(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Starts the receive deadline, unless it runs already."""
+        self.idle.pop(self, None)
+        if self._is_late:
+            return
         self._start_receive_timer()
         super().data_received(data)
 
     def handle_events(self) -> None:
-        """Stops the receive deadline when the whole request has arrived."""
+        """Stops the receive deadline when the whole request has arrived; another may have begun with it."""
         super().handle_events()
         if self.transport.get_protocol() is not self:  # a WebSocket has the connection
             return
-        if self.conn.their_state is h11.SEND_BODY:
+        if self.conn.their_state is h11.SEND_BODY or (self.conn.their_state is h11.IDLE and self.conn.trailing_data[0]):
             self._start_receive_timer()
         elif self.conn.their_state is not h11.IDLE:
             self._stop_receive_timer()
@@ -83,10 +96,16 @@ class DeadlineProtocol(H11Protocol):
         self._stop_write_timer()
 
     def on_response_complete(self) -> None:
-        """Starts the write deadline for what is still in the transport's buffer."""
+        """Starts the write deadline for what is still in the transport's buffer. Closes the longest idle connection."""
         super().on_response_complete()
         if self.transport.get_write_buffer_size():
             self._start_write_timer()
+        if self.timeout_keep_alive_task is not None:  # another request may come
+            self.idle[self] = None
+        if len(self.idle) > self.limits.idle_connections:
+            oldest = next(iter(self.idle))
+            del self.idle[oldest]
+            oldest.timeout_keep_alive_handler()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         """Stops both deadlines: from here on another protocol has the connection."""
@@ -96,6 +115,7 @@ class DeadlineProtocol(H11Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stops both deadlines."""
+        self.idle.pop(self, None)
         self._stop_receive_timer()
         super().connection_lost(exc)
         self._stop_write_timer()
@@ -108,7 +128,33 @@ class DeadlineProtocol(H11Protocol):
 
     def _start_receive_timer(self) -> None:
         if self._receive_timer is None:
-            self._receive_timer = self.loop.call_later(self.limits.receipt_s, self.transport.abort)
+            self._receive_timer = self.loop.call_later(self.limits.receipt_s, self._end_receipt)
+
+    def _end_receipt(self) -> None:
+        """Answers a request that is late, unless its reply has begun, and closes the connection.
+
+        What still arrives is dropped for a moment: a client that is reset while it sends would not read the answer.
+        """
+        in_progress = self.cycle is not None and not self.cycle.response_complete
+        has_begun = in_progress or self.conn.trailing_data[0]
+        if not has_begun or (in_progress and self.cycle.response_started):
+            self.transport.abort()
+            return
+        self._is_late = True
+        request_id = self._end_cycle() if in_progress else uuid.uuid4().hex
+        self.transport.write(_problem(late_request(self.limits.receipt_s), request_id))
+        if self.transport.can_write_eof():  # not so with TLS
+            self.transport.write_eof()
+        self.flow.resume_reading()
+        self.loop.call_later(_LINGER_S, self.transport.abort)
+
+    def _end_cycle(self) -> str:
+        """Lets the app end a request whose reply it cannot send any more; returns the request's id."""
+        scope = cast(dict[str, Any], self.cycle.scope)
+        scope[LATE] = self.limits.receipt_s
+        self.cycle.disconnected = True
+        self.cycle.message_event.set()
+        return str(scope.get(REQUEST_ID, ""))
 
     def _start_write_timer(self) -> None:
         if self._write_timer is None:
@@ -131,24 +177,33 @@ class DeadlineProtocol(H11Protocol):
 
 
 def _bad_request() -> bytes:
-    request_id = uuid.uuid4().hex
     error = MalformedRequest(
         "The bytes must be an HTTP/1.1 request with headers of at most 16 KiB, and chunks of 64 bytes or more on "
         "average; they are not.",
         hint="Use an HTTP client that sends large chunks, or Content-Length.",
     )
+    return _problem(error, uuid.uuid4().hex)
+
+
+def _problem(error: ServiceError, request_id: str) -> bytes:
+    """Returns an error as a whole HTTP reply."""
     body = problem_document(error, request_id)
-    lines = [f"{key}: {value}" for key, value in problem_headers(error, request_id).items()]
-    return "\r\n".join(["HTTP/1.1 400 ", *lines, f"content-length: {len(body)}", "", ""]).encode() + body
+    headers = {**problem_headers(error, request_id), "content-length": len(body)}
+    lines = [f"HTTP/1.1 {error.http_status} ", *(f"{key}: {value}" for key, value in headers.items()), "", ""]
+    return "\r\n".join(lines).encode() + body
 
 
 class HttpServer(uvicorn.Server):
-    """A uvicorn server that, on a stop signal, marks the service as draining and ends with exit code 0."""
+    """A uvicorn server that, on a stop signal, marks the service as draining and ends with exit code 0.
+
+    For `Limits.drain_delay_s` before that, unless a second signal comes, the service is only not ready.
+    """
 
     def __init__(self, config: uvicorn.Config, health: Health, limits: Limits) -> None:
         super().__init__(config)
         self._health = health
         self._limits = limits
+        self._drain_at_s = math.inf
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Listens on the sockets as uvicorn does, and with a deadline for TLS, for which uvicorn has no option."""
@@ -174,18 +229,37 @@ class HttpServer(uvicorn.Server):
 
     def handle_exit(self, sig: int, frame: Any) -> None:
         """Begins the graceful shutdown. The signal is not recorded, so that uvicorn does not raise it again."""
-        self._health.drain()
-        self.should_exit = True
+        is_first = math.isinf(self._drain_at_s)
+        self._drain_at_s = time.monotonic() + (self._limits.drain_delay_s if is_first else 0.0)
+        self._health.leave()
+        self._drain_if_due()
+
+    async def on_tick(self, counter: int) -> bool:
+        """Returns whether the server must stop; called ten times a second."""
+        self._drain_if_due()
+        return await super().on_tick(counter)
+
+    def _drain_if_due(self) -> None:
+        if time.monotonic() >= self._drain_at_s:
+            self._health.drain()
+            self.should_exit = True
 
 
 def make_server(
-    app: Any, *, limits: Limits, health: Health, cert: str | None, key: str | None, has_websocket: bool = False
+    app: Any,
+    *,
+    limits: Limits,
+    health: Health,
+    cert: str | None,
+    key: str | None,
+    memory: Memory | None = None,
+    has_websocket: bool = False,
 ) -> HttpServer:
     """Returns the HTTP server of the REST API; `serve(sockets=[...])` runs it."""
     config = uvicorn.Config(
         app,
-        http=type("LimitedProtocol", (DeadlineProtocol,), {"limits": limits}),
-        ws=_websocket_protocol(limits) if has_websocket else "none",
+        http=type("LimitedProtocol", (DeadlineProtocol,), {"limits": limits, "idle": {}}),
+        ws=_websocket_protocol(limits, memory or Memory(limits)) if has_websocket else "none",
         ws_max_size=limits.websocket_bytes,
         ws_ping_interval=limits.ping_s,
         ws_ping_timeout=limits.ping_s,
@@ -195,6 +269,7 @@ def make_server(
         log_config=None,
         server_header=False,
         proxy_headers=False,
+        timeout_keep_alive=limits.http_keep_alive_s,  # type: ignore[arg-type]  # any number does
         timeout_graceful_shutdown=int(limits.drain_s),
         ssl_certfile=cert,
         ssl_keyfile=key,
@@ -202,7 +277,7 @@ def make_server(
     return HttpServer(config, health, limits)
 
 
-def _websocket_protocol(limits: Limits) -> type[asyncio.Protocol]:
+def _websocket_protocol(limits: Limits, memory: Memory) -> type[asyncio.Protocol]:
     from freerein.serving.rest.websocket_protocol import BoundedWebSocketProtocol  # the extra [websocket]
 
-    return type("LimitedWebSocketProtocol", (BoundedWebSocketProtocol,), {"limits": limits})
+    return type("LimitedWebSocketProtocol", (BoundedWebSocketProtocol,), {"limits": limits, "memory": memory})

@@ -11,7 +11,7 @@ from freerein.atomic_files import OUT_OF_FILES, out_of_files
 from freerein.errors import (
     Cancelled,
     MalformedRequest,
-    Overloaded,
+    RequestTimeout,
     ServiceError,
     TooLarge,
     UnsupportedMedia,
@@ -20,9 +20,16 @@ from freerein.serving import auth
 from freerein.serving.call_recorder import CallRecorder
 from freerein.serving.error_replies import problem_document, problem_headers
 from freerein.serving.limits import COPIES, Limits
+from freerein.serving.memory import Memory
 from freerein.serving.rest.origin_policy import OriginPolicy
 
 MAX_HEADER_BYTES = 16 * 1024
+REQUEST_ID = "freerein.request_id"
+"""Key of the scope of a request for its id."""
+SHARE = "freerein.memory"
+"""Key of the scope of a request for its `Share` of the memory."""
+LATE = "freerein.late"
+"""Key of the scope of a request that did not arrive in time: how long it had, in seconds."""
 
 _PATHS_WITHOUT_TOKEN = frozenset({"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"})
 _MAX_HEADERS = 100
@@ -37,6 +44,7 @@ class RequestMiddleware:
         app: ASGIApp,
         *,
         limits: Limits,
+        memory: Memory,
         token: str,
         origin_policy: OriginPolicy,
         recorders: Mapping[str, CallRecorder],
@@ -44,11 +52,11 @@ class RequestMiddleware:
     ) -> None:
         self._app = app
         self._limits = limits
+        self._memory = memory
         self._token = token
         self._origin_policy = origin_policy
         self._recorders = recorders
         self._other = other
-        self._buffered_bytes = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serves one request."""
@@ -56,7 +64,7 @@ class RequestMiddleware:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        request_id = scope["freerein.request_id"] = _request_id(headers)
+        request_id = scope[REQUEST_ID] = _request_id(headers)
         reply = _Reply(send, request_id)
         recorder = self._recorders.get(scope["path"], self._other)
         try:
@@ -98,33 +106,29 @@ class RequestMiddleware:
             raise MalformedRequest("A request by GET must have no body; it has one.", hint="Send values in the query.")
 
     async def _run_app(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Runs the app; receiving the body raises an error as soon as a size limit is exceeded."""
+        """Runs the app; receiving the body raises an error as soon as a size limit is exceeded, or it is late."""
         received = 0
 
         async def bounded_receive() -> Message:
             nonlocal received
             message = await receive()
+            if LATE in scope:
+                raise late_request(scope[LATE])
             size = len(message.get("body", b""))
             received += size
-            self._buffered_bytes += COPIES * size
             if received > self._limits.message_bytes:
                 raise self._too_large()
-            if self._buffered_bytes > self._limits.buffered_bytes:
-                raise Overloaded(
-                    f"Request bodies may take at most {self._limits.buffered_bytes} bytes of memory together, "
-                    f"{COPIES} times their length; they would take more.",
-                    hint="Retry after Retry-After, or send less per call.",
-                )
+            share.take(COPIES * size)
             return message
 
-        try:
-            await self._app(scope, bounded_receive, send)
-        except OSError as error:
-            if error.errno not in OUT_OF_FILES:
-                raise
-            raise out_of_files() from None
-        finally:
-            self._buffered_bytes -= COPIES * received
+        with self._memory.share() as share:
+            scope[SHARE] = share
+            try:
+                await self._app(scope, bounded_receive, send)
+            except OSError as error:
+                if error.errno not in OUT_OF_FILES:
+                    raise
+                raise out_of_files() from None
 
     def _too_large(self) -> TooLarge:
         return TooLarge(
@@ -160,6 +164,14 @@ class _Reply:
         headers = [(k.encode(), v.encode()) for k, v in problem_headers(error, self._request_id).items()]
         await self({"type": "http.response.start", "status": error.http_status, "headers": headers})
         await self({"type": "http.response.body", "body": problem_document(error, self._request_id)})
+
+
+def late_request(within_s: float) -> RequestTimeout:
+    """Returns the error of a request that did not arrive in time."""
+    return RequestTimeout(
+        f"A request must arrive within {within_s:g} s; this one did not, so the service closes the connection.",
+        hint="Send less per call, or raise FREEREIN_RECEIPT_S for slow lines.",
+    )
 
 
 def _request_id(headers: Headers) -> str:

@@ -32,7 +32,7 @@ _PROBLEMS = {
         "description": f"{TITLES[status]}.{' See Retry-After.' if status in (429, 503) else ''}",
         "content": {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": _SCHEMAS.format(model="Problem")}}},
     }
-    for status in (400, 401, 404, 409, 413, 415, 422, 429, 501, 503, 504)
+    for status in (400, 401, 404, 408, 409, 413, 415, 422, 429, 501, 503, 504)
 }
 _PROBLEM_SCHEMA = {
     "type": "object",

@@ -12,10 +12,10 @@ from typing import Protocol
 from starlette.responses import Response
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from freerein.errors import Cancelled, DeadlineExceeded, MalformedRequest, ServiceError
+from freerein.errors import Cancelled, DeadlineExceeded, MalformedRequest, NotFound, ServiceError
 from freerein.serving import auth
 from freerein.serving.call_recorder import CallRecorder
-from freerein.serving.error_replies import error_line, problem_document, problem_headers
+from freerein.serving.error_replies import close_reason, error_line, problem_document, problem_headers
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits, Slots
 from freerein.serving.metrics import Metrics
@@ -25,7 +25,6 @@ PATH = "/"
 _CLOSE_CODES = {"internal": 1011, "unavailable": 1012, "overloaded": 1013}
 _CLEAN_CODES = (1000, 1001)
 _VIOLATION = 1008
-_MAX_REASON_BYTES = 123
 
 
 class MessageSession(Protocol):
@@ -75,6 +74,18 @@ class WebSocketEndpoint:
                     call.code = Cancelled.code
         except ServiceError as error:
             await _refuse(socket, error, request_id)
+
+    async def refuse_path(self, socket: WebSocket) -> None:
+        """Refuses a connection at another path, and says which is right."""
+        error: ServiceError = NotFound(
+            f"The WebSocket of this service is at `{PATH}`; the URL has another path.",
+            hint=f"Connect to ws://HOST:PORT{PATH} instead, with the same query.",
+        )
+        try:
+            self._check(socket)
+        except ServiceError as refusal:
+            error = refusal
+        await _refuse(socket, error, uuid.uuid4().hex)
 
     async def _serve(self, socket: WebSocket, request_id: str) -> None:
         self._check(socket)
@@ -134,7 +145,6 @@ async def _refuse(socket: WebSocket, error: ServiceError, request_id: str) -> No
             headers = problem_headers(error, request_id)
             await socket.send_denial_response(Response(problem_document(error, request_id), error.http_status, headers))
         else:
-            reason = error_line(error, request_id).encode()[:_MAX_REASON_BYTES].decode(errors="ignore")
-            await socket.close(_CLOSE_CODES.get(error.code, _VIOLATION), reason)
+            await socket.close(_CLOSE_CODES.get(error.code, _VIOLATION), close_reason(error))
     except WebSocketDisconnect:  # the client is gone
         pass
