@@ -55,6 +55,8 @@ async def answer(headers: dict[str, str], *, origins: tuple[str, ...] = (), is_l
         {"host": "elsewhere.example:8100", "origin": "http://elsewhere.example:8100"},
         {"host": "elsewhere.example:8100"},
         {"host": "127.0.0.1.elsewhere.example"},
+        {"host": "evillocalhost:8100", "origin": "http://evillocalhost:8100"},
+        {"host": "localhost.elsewhere.example"},
         {"host": "[::1"},
         {"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors"},
         {"sec-fetch-site": "same-site"},

@@ -278,6 +278,15 @@ async def test_a_cancelled_fit_is_resumed_at_the_end_of_the_queue_and_only_then(
         await fits.cancel_fit(CancelFitRequest(fit.id))
 
 
+async def test_a_fit_that_has_succeeded_is_not_resumed(bench: Bench) -> None:
+    async with bench.running() as fits:
+        fit = await begin(fits)
+        assert (await end(fits, fit)).state == "succeeded"
+        with pytest.raises(FailedPrecondition, match="this one is succeeded"):
+            await fits.resume_fit(ResumeFitRequest(fit.id))
+        assert len(bench.runs(fit)) == 1
+
+
 async def test_cancelled_before_its_turn_a_fit_never_starts(bench: Bench) -> None:
     async with bench.running() as fits:
         first, second = await begin(fits, "wait"), await begin(fits)

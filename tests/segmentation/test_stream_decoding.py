@@ -61,6 +61,16 @@ def test_labels_are_those_of_the_whole_and_final_once_the_lag_has_passed(
     assert [each.confidence for each in found] == pytest.approx([each.confidence for each in whole.segments])
 
 
+def test_what_a_stream_keeps_does_not_grow_with_time() -> None:
+    likely = runs(np.random.default_rng(1), 300)
+    decoder = StreamDecoder(skills=SKILLS, smoothing=2.0, min_confidence=0.0, min_kept=0)
+    kept = []
+    for timestep in range(300):
+        decoder.push(prediction(likely[timestep : timestep + 1]))
+        kept.append(len(decoder._smoother._window.probabilities))
+    assert max(kept) == kept[50] == kept[-1] <= 2 * decoder.lag
+
+
 def test_provisional_labels_are_those_of_a_trajectory_that_ends_there() -> None:
     likely = runs(np.random.default_rng(1), 60)
     decoder = StreamDecoder(skills=SKILLS, smoothing=1.0, min_confidence=0.0, min_kept=0)
