@@ -25,7 +25,7 @@ TOLD_OWN, WORDINGS = "told.own", "told.wordings"
 
 GOAL_CLONING, GOAL_CONDITIONED = "goal_cloning", "goal_conditioned"
 SKILLS, EXPERT = "skills", "expert"
-PPO, LANGUAGE, PPO_SPEED = "ppo_training", "language", "ppo_speed"
+PPO, PPO_OWN_STARTS, LANGUAGE, PPO_SPEED = "ppo_training", "ppo_own_starts", "language", "ppo_speed"
 
 SIDES = ("blocks.yellow-left-of-green", "blocks.yellow-right-of-green")
 STACK = "blocks.yellow-on-top-of-green"
@@ -130,7 +130,7 @@ def _expert_recipes(arm: Arm) -> list[Step]:
 
 def _reinforce(arm: Arm) -> list[Step]:
     return [
-        step("ppo", "ppo", task=arm.world, conditions=[CURRICULUM], seed=arm.seed),
+        step("ppo", "ppo", task=arm.world, conditions=[CURRICULUM] if arm.method == PPO else [], seed=arm.seed),
         _evaluate("returns", task=arm.world, policy={"run": "ppo"}, baseline="random", episodes=_RETURN_EPISODES),
     ]
 
@@ -259,6 +259,7 @@ def _samples(found: Callable[[Trials], Iterator[tuple[str, Sample]]]) -> Callabl
     return lambda trials: dict(found(trials))
 
 
+_REINFORCED = PolicyArm(_reinforce, _samples(_return_samples))
 _FOLLOWER = PolicyArm(_follow, _samples(_landmark_samples))
 
 METHODS: Mapping[str, PolicyArm] = MappingProxyType(
@@ -267,7 +268,8 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
         GOAL_CONDITIONED: _FOLLOWER,
         SKILLS: PolicyArm(_execute_recipes, _samples(_recipe_samples)),
         EXPERT: PolicyArm(_expert_recipes, _samples(_recipe_samples)),
-        PPO: PolicyArm(_reinforce, _samples(_return_samples)),
+        PPO: _REINFORCED,
+        PPO_OWN_STARTS: _REINFORCED,
         LANGUAGE: PolicyArm(_obey, _samples(_sentence_samples)),
     }
 )
@@ -280,5 +282,10 @@ def arms(seeds: int) -> tuple[Arm, ...]:
     return (
         Arm(DEMONSTRATED, EXPERT),
         *(Arm(DEMONSTRATED, method, seed=seed) for seed in range(seeds) for method in fitted),
-        *(Arm(task, PPO, seed=seed) for seed in range(PPO_SEEDS) for task in (*SIDES, STACK)),
+        *(
+            Arm(task, method, seed=seed)
+            for method in (PPO, PPO_OWN_STARTS)
+            for seed in range(PPO_SEEDS)
+            for task in (*SIDES, STACK)
+        ),
     )

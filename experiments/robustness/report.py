@@ -233,12 +233,13 @@ def _visited_section(results: Sequence[ArmResult]) -> Section:
 def _trainings_section(results: Sequence[ArmResult]) -> Section:
     """Every training by PPO: what the worst one is worth is no mean."""
     figures = (policies.RETURN_ALL, policies.RETURN_WRONG_ORDER)
+    starts = {policies.PPO: "on the way", policies.PPO_OWN_STARTS: "the task's own"}
     rows = [
-        (each.world, str(each.seed), *(_share(each, name) for name in figures))
-        for each in sorted(results, key=lambda each: (each.world, each.seed))
-        if each.method == policies.PPO
+        (each.world, starts[each.method], str(each.seed), *(_share(each, name) for name in figures))
+        for each in sorted(results, key=lambda each: (each.method, each.world, each.seed))
+        if each.method in starts
     ]
-    header = ("task", "seed", "all starts, % of the expert", "starts in the wrong order, %")
+    header = ("task", "training's starts", "seed", "all starts, % of the expert", "starts in the wrong order, %")
     return Section(header, tuple(rows), "PPO, every training")
 
 

@@ -120,7 +120,8 @@ def _executed(claim: str, text: str, least: float, sample: str) -> Target:
 
 
 def _reinforced(claim: str, text: str, least: float, worlds: tuple[str, ...], sample: str) -> Target:
-    return Target(claim, f"PPO, % of the expert: {text}", worlds, (sample,), least, unit=_PER_CENT, method=policies.PPO)
+    told = f"PPO under `start-on-the-way`, % of the expert: {text}"
+    return Target(claim, told, worlds, (sample,), least, unit=_PER_CENT, method=policies.PPO)
 
 
 def _speed(claim: str, text: str, sample: str, *, least: float | None = None, **more: Any) -> Target:
@@ -204,6 +205,21 @@ TARGETS = (
         low_above=_PUSHER,
     ),
     _reinforced("ppo_stack", "stack", 40, (policies.STACK,), policies.RETURN_ALL),
+    *(
+        Target(
+            f"ppo_own_starts_{name}",
+            f"PPO whose training episodes begin as the task does, % of the expert: {text}",
+            worlds,
+            (sample,),
+            unit=_PER_CENT,
+            method=policies.PPO_OWN_STARTS,
+        )
+        for name, text, worlds, sample in (
+            ("all", "left and right, all starts", policies.SIDES, policies.RETURN_ALL),
+            ("wrong_order", "starts in the wrong order", policies.SIDES, policies.RETURN_WRONG_ORDER),
+            ("stack", "stack", (policies.STACK,), policies.RETURN_ALL),
+        )
+    ),
     _told(
         "language_told",
         "language policy told its task, % of its teachers",
