@@ -8,7 +8,8 @@ _MAX_BOXES = 100_000
 _HEADER, _LONG_HEADER = 8, 16
 _LONG_SIZE = 1  # announces a size of 64 bits
 _OPEN_SIZE = 0  # of a last box, whose recorder did not know it
-_FIRST = frozenset((b"ftyp", b"wide", b"mdat", b"moov", b"free", b"skip", b"pnot"))  # QuickTime needs no `ftyp`
+_FIRST = frozenset((b"ftyp", b"wide", b"mdat", b"moov", b"free", b"skip", b"pnot", b"uuid"))
+"""Kinds of a first box; QuickTime needs no `ftyp`."""
 
 
 def check_boxes(file: int, *, field: str) -> None:
