@@ -1,76 +1,20 @@
 """LeRobot's rows are found by `episode_index` and `frame_index`, whatever their order and the numbering of episodes."""
 
-import io
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import PIL.Image
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from tests.lerobot_dataset import DATA, EPISODES, STEPS, rows_of, write_data, write_dataset, write_episodes
 
 from freerein.data import Dataset, LeRobotSource, import_trajectories, tag, verify
 from freerein.errors import InvalidInput
 
-STEPS = 5
-EPISODES = "meta/episodes/chunk-000/file-000.parquet"
-DATA = "data/chunk-000/file-{:03d}.parquet"
-VECTOR = {"dtype": "float32", "shape": [2], "names": None}
-CAMERA = {"dtype": "image", "shape": [4, 6, 3], "names": ["height", "width", "channels"]}
-INFO: dict[str, Any] = {
-    "codebase_version": "v3.0",
-    "fps": 10,
-    "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
-    "features": {"observation.images.top": CAMERA, "action": VECTOR},
-}
-
-
-def png(level: int, shape: tuple[int, ...] = (4, 6, 3)) -> dict[str, Any]:
-    buffer = io.BytesIO()
-    PIL.Image.fromarray(np.full(shape, level, np.uint8)).save(buffer, "PNG")
-    return {"bytes": buffer.getvalue(), "path": None}
-
-
-def rows_of(episode: int) -> dict[str, Any]:
-    """Returns rows whose action and brightness tell the episode and the timestep."""
-    steps = np.arange(STEPS)
-    return {
-        "observation.images.top": [png(10 * episode + step) for step in steps],
-        "action": pa.array([[episode, step] for step in steps], pa.list_(pa.float32())),
-        "episode_index": np.full(STEPS, episode),
-        "frame_index": steps,
-    }
-
-
-def write_episodes(root: Path, **changes: Any) -> None:
-    columns = {
-        "episode_index": [0, 1, 2],
-        "length": [STEPS] * 3,
-        "data/chunk_index": [0] * 3,
-        "data/file_index": [0] * 3,
-    }
-    (root / EPISODES).parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(pa.table(columns | changes), root / EPISODES)
-
-
-def write_data(root: Path, *files: list[int]) -> None:
-    """Writes a data file for each list of episodes."""
-    (root / "data/chunk-000").mkdir(parents=True, exist_ok=True)
-    for number, episodes in enumerate(files):
-        pq.write_table(pa.concat_tables(pa.table(rows_of(each)) for each in episodes), root / DATA.format(number))
-
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """Three episodes in one data file."""
-    root = tmp_path / "theirs"
-    write_episodes(root)
-    write_data(root, [0, 1, 2])
-    pq.write_table(pa.table({"task_index": [0], "task": ["tidy"]}), root / "meta/tasks.parquet")
-    (root / "meta/info.json").write_text(json.dumps(INFO))
-    return root
+    return write_dataset(tmp_path / "theirs")
 
 
 def found(dataset: Dataset) -> list[tuple[list[float], list[int], list[int]]]:
@@ -80,7 +24,7 @@ def found(dataset: Dataset) -> list[tuple[list[float], list[int], list[int]]]:
 
 def expected(*episodes: int) -> list[tuple[list[float], list[int], list[int]]]:
     steps = list(range(STEPS))
-    return [([each] * STEPS, steps, [10 * each + step for step in steps]) for each in episodes]
+    return [([each] * STEPS, [-step for step in steps], [10 * each + step for step in steps]) for each in episodes]
 
 
 @pytest.mark.parametrize("kept", [[0, 2], [1, 2], [2], [2, 0, 1]])
@@ -98,7 +42,7 @@ def test_episodes_are_found_by_their_number_after_others_were_deleted(
 def test_what_was_cached_before_an_episode_was_deleted_is_not_used_after(root: Path) -> None:
     Dataset(root).cached_actions()
     pq.write_table(pq.read_table(root / EPISODES).take([0, 2]), root / EPISODES)
-    assert Dataset(root).cached_actions()[1].tolist() == [[2, step] for step in range(STEPS)]
+    assert Dataset(root).cached_actions()[1].tolist() == [[2, -step] for step in range(STEPS)]
 
 
 def test_tags_name_an_episode_by_its_number(root: Path) -> None:
@@ -130,7 +74,7 @@ def test_rows_are_in_the_order_of_their_numbers(root: Path, order: list[int | No
     replace_rows(root, order)
     dataset = Dataset(root)
     assert found(dataset) == expected(0, 1, 2)
-    assert dataset.cached_actions()[1][:, 1].tolist() == list(range(STEPS))
+    assert dataset.cached_actions()[1][:, 1].tolist() == [-step for step in range(STEPS)]
     assert next(dataset.first_frames([1], "top"))[0, 0, 0] == 10
 
 

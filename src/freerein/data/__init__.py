@@ -25,6 +25,8 @@ from freerein.data.folders import FolderSource as FolderSource
 from freerein.data.folders import ImageSource as ImageSource
 from freerein.data.importing import Source as Source
 from freerein.data.importing import import_trajectories as import_trajectories
+from freerein.data.label_table import LabelOptions as LabelOptions
+from freerein.data.label_table import TimeUnit as TimeUnit
 from freerein.data.layout import DatasetSpec as DatasetSpec
 from freerein.data.layout import dataset_path as dataset_path
 from freerein.data.layout import integer_fps as integer_fps
@@ -36,6 +38,7 @@ from freerein.data.mime import MimeSource as MimeSource
 from freerein.data.reader import Dataset as Dataset
 from freerein.data.tag_checks import Problem as Problem
 from freerein.data.tag_checks import tag_problems as tag_problems
+from freerein.data.timestep_texts import TextKind as TextKind
 from freerein.data.writer import Writer as Writer
 from freerein.data.writer import create as create
 from freerein.data.writer import open_writer as open_writer

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,12 +12,17 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 
 _MOST = float(np.finfo(np.float32).max)
+_EXAMPLE = "For example the lines 0.5,-0.1 and 0.5,0; a first line such as x,y may name the numbers."
+_INDEX_HINT = "Name it, or leave it out: pandas writes a table without its index by to_csv(FILE, index=False)."
+_UNNAMED = re.compile(r"Unnamed: \d+(_level_\d+)?")
+"""How pandas calls a column that had no name in a file."""
 
 
 def read_actions(table: bytes, *, file: str) -> tuple[tuple[str, ...], npt.NDArray[np.float64]]:
     """Returns the actions in a CSV file: names of their numbers, empty without a header, and float64 (T, A).
 
-    Raises InvalidInput, with the name `file`, where lines differ in length or hold other than finite numbers.
+    Raises InvalidInput, with the name `file`, line and column, where lines differ in length or hold other than finite
+    numbers, a name is missing, or the first line counts the columns.
     """
     names, rows = _read(table, file)
     return names, np.array([row.numbers for row in rows])
@@ -49,22 +55,53 @@ class _Row(NamedTuple):
 
 def _read(table: bytes, file: str) -> tuple[tuple[str, ...], list[_Row]]:
     """Returns the names of a first line that has no numbers, and the numbers of the other lines, as many in each."""
+    lines = _lines(table, file)
+    number, first = lines[0] if lines else (1, [])
+    names = () if any(map(_is_number, first)) else tuple(name.strip() for name in first)
+    _check_names(number, first, names, file)
+    rows = [_Row(line, _floats(line, cells, file)) for line, cells in lines[bool(names) :]]
+    if not rows:
+        raise _error(f"`{file}` must have the action of an image in each line; it has none", _EXAMPLE)
+    for row in rows:
+        if len(row.numbers) != len(first):
+            expected = f"have {len(first)} numbers, as many as line {number}; it has {len(row.numbers)}"
+            raise _error(f"Line {row.line} of `{file}` must {expected}", _EXAMPLE)
+    if not names:
+        _check_no_count(lines, file)
+    return names, rows
+
+
+def _lines(table: bytes, file: str) -> list[tuple[int, list[str]]]:
+    """Returns the number and the cells of each line that is not empty."""
     try:
         reader = csv.reader(io.StringIO(table.decode("utf-8-sig"), newline=""), strict=True)
-        lines = [(reader.line_num, line) for line in reader if line]
+        return [(reader.line_num, line) for line in reader if line]
     except (UnicodeDecodeError, csv.Error):
-        lines = []
-    names = () if not lines or any(map(_is_number, lines[0][1])) else tuple(name.strip() for name in lines[0][1])
-    rows = [_Row(number, _floats(cells)) for number, cells in lines[bool(names) :]]
-    lengths = {len(row.numbers) for row in rows} | ({len(names)} if names else set())
-    if not rows or len(lengths) != 1 or not rows[0].numbers:
-        raise InvalidInput(
-            f"`{file}` must be CSV with the action of an image in each line, as many finite numbers in each; "
-            "it is not.",
-            field="actions",
-            hint="For example the lines 0.5,-0.1 and 0.5,0; a first line such as x,y may name the numbers.",
+        raise _error(
+            f"`{file}` must be CSV in UTF-8 with the action of an image in each line; it is not", _EXAMPLE
+        ) from None
+
+
+def _check_names(line: int, cells: Sequence[str], names: Sequence[str], file: str) -> None:
+    """Raises InvalidInput where a column has no name, or two have one: pandas writes its index so."""
+    nameless = [cell for cell in cells if not cell.strip() or _UNNAMED.fullmatch(cell.strip())]
+    if nameless:
+        place = f"Line {line}, column {cells.index(nameless[0]) + 1}, of `{file}`"
+        raise _error(f"{place} must have a name, or a number as all others; it has none", _INDEX_HINT)
+    if len(set(names)) != len(names):
+        raise _error(f"Line {line} of `{file}` must have different names; one is there twice", "Rename a column.")
+
+
+def _check_no_count(lines: Sequence[tuple[int, list[str]]], file: str) -> None:
+    """Raises InvalidInput where the first line counts the columns, as it does for a table without names of its own."""
+    number, first = lines[0]
+    counts = [cell.strip() for cell in first] == [str(place) for place in range(len(first))]
+    others = [cell.strip() for _, cells in lines[1:] for cell in cells]
+    if counts and len(first) > 1 and any(not cell.isdigit() for cell in others):
+        raise _error(
+            f"Line {number} of `{file}` must be an action, or names; it counts the columns",
+            "Write the table without such a line: DataFrame.to_csv(FILE, index=False, header=False).",
         )
-    return names, rows
 
 
 def _is_number(cell: str) -> bool:
@@ -76,10 +113,19 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _floats(cells: Sequence[str]) -> list[float]:
-    """Returns the numbers of a line; none where one is no finite float32."""
-    try:
-        numbers = [float(text) for text in cells]
-    except ValueError:
-        return []
-    return numbers if all(abs(number) <= _MOST for number in numbers) else []
+def _floats(line: int, cells: Sequence[str], file: str) -> list[float]:
+    """Returns the numbers of a line; raises InvalidInput where one is no finite float32."""
+    numbers = [float(cell) if _is_plain(cell) else np.inf for cell in cells]
+    wrong = next((place for place, number in enumerate(numbers, start=1) if not abs(number) <= _MOST), 0)
+    if wrong:
+        raise _error(f"Line {line}, column {wrong}, of `{file}` must be a finite number; it is not", _EXAMPLE)
+    return numbers
+
+
+def _is_plain(cell: str) -> bool:
+    """Returns whether a cell is a number as other programs write them, too."""
+    return cell.isascii() and "_" not in cell and _is_number(cell)
+
+
+def _error(sentence: str, hint: str) -> InvalidInput:
+    return InvalidInput(f"{sentence}.", field="actions", hint=hint)

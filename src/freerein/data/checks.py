@@ -9,6 +9,7 @@ import numpy as np
 
 from freerein.data import layout, meta, truth
 from freerein.data.batch_memory import batch_problems
+from freerein.data.counter_columns import CounterColumns
 from freerein.data.first_frames import MOST_TRAJECTORIES, first_frame_tests, low_resolution
 from freerein.data.layout import DatasetSpec
 from freerein.data.meta import Row
@@ -26,6 +27,7 @@ _NO_ACTIONS = Problem(
     "Record the executed actions, too, if you want policies.",
     "warning",
 )
+_COUNTER_HINT = "Leave them out and import the dataset again; a joint that only moves one way may stay."
 _TELLING_AUROC, _SIGNIFICANT = 0.6, 0.01
 _RESTORE = "Restore the file from a copy; without one, the trajectories before it can be kept."
 
@@ -119,9 +121,13 @@ def check(root: Path) -> list[Problem]:
     dataset = Dataset(root)
     if len(dataset) == 0:
         return [Problem("data", "A dataset must hold trajectories; this one is empty.", "Record demonstrations first.")]
-    trajectories = [problem for index in range(len(dataset)) for problem in _trajectory_problems(dataset, index)]
+    counters = CounterColumns(dataset.spec.action.names)
+    trajectories = [
+        problem for index in range(len(dataset)) for problem in _trajectory_problems(dataset, index, counters)
+    ]
     first_frames = [] if trajectories else _first_frame_problems(dataset)
-    actions = [] if dataset.spec.has_actions else [_NO_ACTIONS]
+    actions = [Problem("actions", each, _COUNTER_HINT, "warning") for each in counters.sentences()]
+    actions += [] if dataset.spec.has_actions else [_NO_ACTIONS]
     sizes = [each for size in dataset.spec.cameras.values() for each in batch_problems(dataset.lengths, size)]
     return [*tag_problems(dataset.spec.skills, dataset.skills), *actions, *sizes[:1], *first_frames, *trajectories]
 
@@ -236,7 +242,7 @@ def _first_frame_problems(dataset: Dataset) -> Iterator[Problem]:
                 yield Problem("skills", sentence, hint, "warning")
 
 
-def _trajectory_problems(dataset: Dataset, index: int) -> Iterator[Problem]:
+def _trajectory_problems(dataset: Dataset, index: int, counters: CounterColumns) -> Iterator[Problem]:
     where = f"trajectory {dataset.episodes[index]}"
     if dataset.lengths[index] == 0:
         yield Problem(where, "A trajectory must have at least one timestep; this one has none.", "Leave it out.")
@@ -246,6 +252,7 @@ def _trajectory_problems(dataset: Dataset, index: int) -> Iterator[Problem]:
     except InvalidInput as error:
         yield Problem(where, error.detail, error.hint)
         return
+    counters.add(actions)
     low, high = dataset.spec.action_bounds
     outside = int(np.sum(~((actions >= low) & (actions <= high))))
     if outside:

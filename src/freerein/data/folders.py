@@ -65,7 +65,8 @@ class FolderSource(Source):
         """Names of the trajectories, in their order."""
         if tags is None and (folder / TAGS).is_file():
             tags = read_regular(folder / TAGS, name=TAGS)
-        self._skills = read_tags(tags, self.names) if tags is not None else {}
+        self._spellings = list[str]()
+        self._skills = read_tags(tags, self.names, on_note=self._spellings.append) if tags is not None else {}
         self._actions = [_actions(each) for each in self._recordings]
         kinds = {(names, values.shape[1]) for names, values in self._actions}
         if len(kinds) > 1:
@@ -97,10 +98,10 @@ class FolderSource(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was stretched, and which files of operating systems were ignored."""
+        """What was stretched, spelled otherwise in tags, or ignored because operating systems left it."""
         named = ", ".join(f"{name} ({count})" for name, count in sorted(self._ignored.items()))
         ignored = (f"Ignored what operating systems left: {named}.",) if named else ()
-        return (*stretch_notes(self._stretched, self._size), *ignored)
+        return (*stretch_notes(self._stretched, self._size), *self._spellings, *ignored)
 
     def __len__(self) -> int:
         return len(self._recordings)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from freerein.atomic_files import fsync_folder
 from freerein.data import truth
+from freerein.data.counter_columns import CounterColumns
 from freerein.data.folder_locks import temporary_folder
 from freerein.data.layout import DatasetSpec
 from freerein.data.trajectory_file import State
@@ -70,13 +71,18 @@ class Source(Protocol):
         return ()
 
 
-def import_trajectories(source: Source, root: Path, *, on_count: Callable[[int], None] = lambda _: None) -> None:
+def import_trajectories(
+    source: Source, root: Path, *, on_count: Callable[[int], None] = lambda _: None
+) -> tuple[str, ...]:
     """Writes a new dataset with the trajectories of a source; nothing is left of one that fails.
 
     Args:
         source: The trajectories.
         root: The new dataset's folder.
         on_count: Called with the number of trajectories written.
+
+    Returns:
+        Warnings of what was written.
 
     Raises:
         AlreadyExists: `root` exists.
@@ -91,8 +97,10 @@ def import_trajectories(source: Source, root: Path, *, on_count: Callable[[int],
     with temporary_folder(root.parent, prefix=".import-") as folder:
         unfinished = folder / root.name
         with create(unfinished, source.spec) as writer:
+            counters = CounterColumns(source.spec.action.names)
             for count, recorded in enumerate(source.recorded(), start=1):
                 _append(writer, unfinished, source, recorded)
+                counters.add(recorded.trajectory.actions)
                 on_count(count)
             if not len(writer):
                 raise InvalidInput("A trajectory must be whole; none is.", hint="`freerein dataset verify FOLDER`.")
@@ -101,6 +109,7 @@ def import_trajectories(source: Source, root: Path, *, on_count: Callable[[int],
         except OSError:
             raise _taken() from None
     fsync_folder(root.parent)
+    return tuple(counters.sentences())
 
 
 def _append(writer: Writer, root: Path, source: Source, recorded: Recorded) -> None:

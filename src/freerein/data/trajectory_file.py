@@ -155,13 +155,15 @@ def _in_order(rows: pa.Table) -> pa.Table:
 def decode_frames(rows: pa.Table, *, camera_key: str, size: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
     """Returns the frames of one camera, uint8 (T, H, W, C), from its column and of the required size (H, W, C)."""
     frames = np.empty((len(rows), *size), np.uint8)
-    for t, record in enumerate(rows[camera_key].to_pylist()):
-        if record is None or record["bytes"] is None:
+    with corrupt_as_invalid(f"`{camera_key}`"):
+        encoded = [record and record["bytes"] for record in rows[camera_key].to_pylist()]
+    for t, data in enumerate(encoded):
+        if not isinstance(data, bytes):
             raise InvalidInput(
                 f"Every frame must be stored in the data file; frame {t} is not.",
                 hint="Export the dataset again with its images embedded.",
             )
-        pixels = images.decode(Image(images.sniff(record["bytes"]), 0, 0, record["bytes"]), field="frames")
+        pixels = images.decode(Image(images.sniff(data, field="frames"), 0, 0, data), field="frames")
         if pixels.shape != size:
             raise InvalidInput(
                 f"Every frame must have the size that the dataset declares, {size}; frame {t} has {pixels.shape}.",

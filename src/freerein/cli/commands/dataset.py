@@ -1,6 +1,6 @@
 """`freerein dataset`: imports, inspects, checks and annotates datasets; finds the ones that other commands name."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,23 +14,30 @@ from freerein.data import (
     Dataset,
     DatasetSummary,
     FolderSource,
+    LabelOptions,
+    LeRobotOptions,
     LeRobotSource,
     MimeSource,
     Problem,
     Source,
+    TextKind,
+    TimeUnit,
     dataset_path,
     import_trajectories,
 )
 from freerein.errors import InvalidInput, NotFound
 from freerein.jobs import wall_clock
+from freerein.regular_files import read_regular
 from freerein.types.common import Trajectory
 
 app = typer.Typer(help="Import, inspect, check and annotate datasets.", no_args_is_help=True, add_completion=False)
 
 _MOST_GOAL_TEXTS = 6
 _LARGEST_SIDE = 1024
-_SOURCES: dict[str, type[LeRobotSource] | type[MimeSource]] = {"lerobot": LeRobotSource, "mime": MimeSource}
+_REPEATABLE = "repeatable; of layout lerobot."
 
+_Texts = TextKind | None
+_Names = list[str] | None
 _Name = Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")]
 
 
@@ -67,8 +74,21 @@ def import_dataset(
     ] = "auto",
     fps: Annotated[int, typer.Option(min=1, max=1000, help="Timesteps per second, of layout folder.")] = 10,
     tags: Annotated[
-        Path | None, typer.Option(metavar="TAGS.CSV", help="Skills by name of the trajectory, of layout folder.")
+        Path | None,
+        typer.Option(metavar="TAGS.CSV", help="Skills by name of the trajectory, or by LeRobot's `episode_index`."),
     ] = None,
+    action: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help=f"Feature of the action; {_REPEATABLE}")
+    ] = None,
+    state: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help=f"Feature of the state; {_REPEATABLE}")
+    ] = None,
+    cameras: Annotated[list[str] | None, typer.Option(metavar="NAME", help=f"Camera to read; {_REPEATABLE}")] = None,
+    tags_from: Annotated[_Texts, typer.Option(help="Take LeRobot's tasks or subtasks as tags.")] = None,
+    labels_from: Annotated[_Texts, typer.Option(help="Take those of each timestep as true labels.")] = None,
+    skip_damaged: Annotated[
+        bool, typer.Option("--skip-damaged", help="Import what is whole of a LeRobotDataset, and count the rest.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Import trajectories of another tool: video is decoded once, actions stay in their own unit.
@@ -77,19 +97,40 @@ def import_dataset(
     Beside them `<trajectory>/actions.csv`, where there are actions, and one `tags.csv`.
     """
     kind = layout if layout != "auto" else "lerobot" if (path / "meta").is_dir() else "folder"
+    options = LeRobotOptions(_names(action), _names(state), _names(cameras), skip_damaged)
+    if kind != "lerobot" and (options != LeRobotOptions() or tags_from or labels_from):
+        raise InvalidInput(
+            f"--action, --state, --cameras, --tags-from, --labels-from and --skip-damaged must be given with layout "
+            f"lerobot; the layout is {kind}.",
+            field="layout",
+            hint="Leave them out, or name the folder that holds `meta`.",
+        )
+    table = read_regular(tags, name=tags.name) if tags else None
     source: Source
     if kind == "folder":
-        source = FolderSource(path, size=_size(size), fps=fps, tags=tags.read_bytes() if tags else None)
+        source = FolderSource(path, size=_size(size), fps=fps, tags=table)
+    elif kind == "mime":
+        source = MimeSource(path, size=_size(size))
     else:
-        source = _SOURCES[kind](path, size=_size(size))
-    import_with_progress(source, name, is_shown=not as_json)
-    _show_import(name, source, as_json=as_json)
+        source = LeRobotSource(
+            path, size=_size(size), options=options, tags=table, tags_from=tags_from, labels_from=labels_from
+        )
+    said = source.notes  # before video is decoded, which may take an hour
+    if not as_json:
+        typer.echo("".join(f"{note}\n" for note in said), nl=False)
+    warnings = import_with_progress(source, name, is_shown=not as_json)
+    _show_import(name, source, warnings, said=said, as_json=as_json)
 
 
-def import_with_progress(source: Source, name: str, *, is_shown: bool) -> None:
-    """Imports trajectories as a dataset of the data directory, with a bar; raises as `import_trajectories`."""
+def import_with_progress(source: Source, name: str, *, is_shown: bool) -> tuple[str, ...]:
+    """Imports trajectories into the data directory, with a bar; returns and raises as `import_trajectories`."""
     with progress_bar(f"importing {name}", total=len(source), is_shown=is_shown) as on_count:
-        import_trajectories(source, dataset_root(name), on_count=on_count)
+        return import_trajectories(source, dataset_root(name), on_count=on_count)
+
+
+def _names(given: list[str] | None) -> tuple[str, ...]:
+    """Returns the names of a repeatable option; one may hold several, separated by commas."""
+    return tuple(name.strip() for each in given or () for name in each.split(","))
 
 
 def _size(text: str) -> tuple[int, int] | None:
@@ -118,16 +159,22 @@ def inspect(name: _Name, as_json: AsJson = False) -> None:
 
 @app.command()
 @command
-def verify(name: _Name, as_json: AsJson = False) -> None:
+def verify(
+    name: Annotated[str, typer.Argument(help="Name of a dataset in the data directory, or a folder.")],
+    as_json: AsJson = False,
+) -> None:
     """Read every file of a dataset and list damage; exit code 1 where there is any."""
-    _report(name, data.verify, as_json=as_json, verdict="is undamaged")
+    folder = Path(name).expanduser()
+    is_folder = "/" in name or (folder.is_dir() and not dataset_root(name).is_dir())
+    root = folder if is_folder else dataset_root(name)
+    _report(name, root, data.verify, as_json=as_json, verdict="is undamaged")
 
 
 @app.command()
 @command
 def check(name: _Name, as_json: AsJson = False) -> None:
     """List what prevents learning skills from a dataset, and warnings; exit code 1 where a fit would refuse it."""
-    _report(name, data.check, as_json=as_json, verdict="is fit for training")
+    _report(name, dataset_root(name), data.check, as_json=as_json, verdict="is fit for training")
 
 
 @app.command()
@@ -141,8 +188,9 @@ def tag(
 
     All lines are valid, or nothing changes; trajectories that are not listed keep their tags.
     """
-    count = data.tag(dataset_root(name), table.read_bytes())
-    _show_count(name, "tagged", count, as_json=as_json)
+    notes = list[str]()
+    count = data.tag(dataset_root(name), read_regular(table, name=table.name), on_note=notes.append)
+    _show_count(name, "tagged", count, notes, as_json=as_json)
 
 
 @app.command()
@@ -150,30 +198,52 @@ def tag(
 def label(
     name: _Name,
     table: Annotated[Path, typer.Argument(metavar="LABELS.CSV", help="Columns `trajectory`, `start`, `end`, `skill`.")],
+    *,
+    trajectory: Annotated[
+        int | None, typer.Option(min=0, help="Index of the trajectory that a table without a column of it is about.")
+    ] = None,
+    unit: Annotated[
+        TimeUnit | None,
+        typer.Option(help="Of times; without it by the columns' names, else seconds where one has a point."),
+    ] = None,
+    tier: Annotated[str, typer.Option(help="Tier to read of several in an export of ELAN.")] = "",
+    with_tags: Annotated[
+        bool, typer.Option("--tags", help="Tag the trajectories with the skills of their labels.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Store true labels of a few trajectories, to measure frame accuracy; no fit sees them.
 
-    Lines such as `0,0,41,reach` below `trajectory,start,end,skill` cover a trajectory by segments [start, end).
+    Lines such as `0,0,41,reach` below `trajectory,start,end,skill` are segments [start, end), in timesteps or seconds;
+    lines below `trajectory,timestep,skill` label one each. Exports of ELAN, separated by tabs, are read, too. Timesteps
+    that are not listed have no label.
     """
-    count = data.label(dataset_root(name), table.read_bytes())
-    _show_count(name, "labelled", count, as_json=as_json)
+    notes, options = list[str](), LabelOptions(trajectory, unit, tier)
+    text = read_regular(table, name=table.name)
+    count = data.label(dataset_root(name), text, options=options, with_tags=with_tags, on_note=notes.append)
+    _show_count(name, "labelled", count, notes, as_json=as_json)
 
 
-def _show_import(name: str, source: Source, *, as_json: bool) -> None:
+def _show_import(name: str, source: Source, warnings: Sequence[str], *, said: Collection[str], as_json: bool) -> None:
+    count = len(Dataset(dataset_root(name)))
+    notes = [*source.notes, *warnings]
     if as_json:
-        print_json({"dataset": name, "imported": len(source), "contents": source.contents, "notes": source.notes})
+        print_json({"dataset": name, "imported": count, "contents": source.contents, "notes": notes})
         return
     contents = f": {source.contents}" if source.contents else ""
-    typer.echo("\n".join([f"{len(source)} trajectories of {name} are imported{contents}.", *source.notes]))
+    new = [note for note in notes if note not in said]
+    typer.echo("\n".join([f"{count} trajectories of {name} are imported{contents}.", *new]))
 
 
-def _show_count(name: str, done: str, count: int, *, as_json: bool) -> None:
-    print_json({"dataset": name, done: count}) if as_json else typer.echo(f"{count} trajectories of {name} are {done}.")
+def _show_count(name: str, done: str, count: int, notes: Sequence[str], *, as_json: bool) -> None:
+    if as_json:
+        print_json({"dataset": name, done: count, "notes": notes})
+    else:
+        typer.echo("\n".join([f"{count} trajectories of {name} are {done}.", *notes]))
 
 
-def _report(name: str, examine: Callable[[Path], list[Problem]], *, as_json: bool, verdict: str) -> None:
-    problems = examine(dataset_root(name))
+def _report(name: str, root: Path, examine: Callable[[Path], list[Problem]], *, as_json: bool, verdict: str) -> None:
+    problems = examine(root)
     errors = sum(problem.severity == "error" for problem in problems)
     if as_json:
         print_json({"dataset": name, "problems": [asdict(problem) for problem in problems]})
