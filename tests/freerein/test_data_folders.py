@@ -49,6 +49,7 @@ def test_a_folder_of_images_for_each_trajectory_is_a_dataset_without_actions(tmp
 
     assert (source.names, dataset.spec.fps, dataset.spec.cameras) == (("take-2", "take-10"), 5, {"camera": (12, 16, 3)})
     assert (dataset.spec.skills, dataset.skills) == (("pour", "reach"), (("pour", "reach"), ()))
+    assert source.contents == "take-2 to take-10, one camera, 1 with tags, 5 timesteps a second"
     assert [brightness(dataset, 0), brightness(dataset, 1)] == [list(range(11)), [3, 4]]
     assert (dataset[0].actions.shape, dataset.cached_actions()[1].shape) == ((11, 0), (2, 0))
     assert [each.where for each in check(tmp_path / "ours") if each.where == "actions"] == ["actions"]
@@ -290,7 +291,7 @@ def test_a_camera_of_any_name_without_a_number_is_alike_in_all_trajectories(tmp_
         for camera in ("bench", "door"):
             draw(tmp_path / take / camera, 1, 2)
     source = FolderSource(tmp_path)
-    assert source.contents == "take-1 to take-2, by camera bench, door, at 10 timesteps/s"
+    assert source.contents == "take-1 to take-2, cameras bench, door, no tags, 10 timesteps a second"
 
 
 def test_files_of_operating_systems_are_ignored_and_named(tmp_path: Path) -> None:

@@ -91,10 +91,14 @@ class FolderSource(Source):
 
     @property
     def contents(self) -> str:
-        """Names of trajectories and cameras."""
+        """Names of trajectories and cameras, and how many have tags."""
         first, *others = self.names
-        cameras = ", ".join(self._spec.cameras)
-        return f"{first}{f' to {others[-1]}' if others else ''}, by camera {cameras}, at {self._spec.fps} timesteps/s"
+        named = sorted(set(self._spec.cameras) - {CAMERA})
+        cameras = f"cameras {', '.join(self._spec.cameras)}" if named else "one camera"
+        tagged = f"{len(self._skills)} with tags" if self._skills else "no tags"
+        return (
+            f"{first}{f' to {others[-1]}' if others else ''}, {cameras}, {tagged}, {self._spec.fps} timesteps a second"
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
