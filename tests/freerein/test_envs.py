@@ -20,7 +20,7 @@ from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 from freerein import wire
 from freerein.api.sim.v1 import sim_pb2_grpc
 from freerein.envs import SimEnv, SimVectorEnv, leased_session, register
-from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceError
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound, Overloaded, ServiceError
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (
     CloseSessionResponse,
@@ -45,8 +45,13 @@ TASKS = {
 }
 
 
-OUT_OF_ORDER = status_pb2.Status(code=grpc.StatusCode.FAILED_PRECONDITION.value[0], message="wrong step_id")
-OUT_OF_ORDER.details.add().Pack(error_details_pb2.ErrorInfo(reason="step_out_of_order", domain="freerein"))
+def refused(code: str) -> status_pb2.Status:
+    status = status_pb2.Status(code=grpc.StatusCode.FAILED_PRECONDITION.value[0], message=code)
+    status.details.add().Pack(error_details_pb2.ErrorInfo(reason=code, domain="freerein"))
+    return status
+
+
+OUT_OF_ORDER = refused("step_out_of_order")
 
 
 @dataclass
@@ -98,6 +103,17 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
     created: list[CreateSessionResponse] = field(default_factory=list)
     calls: list[str] = field(default_factory=list)
     failures: list[grpc.StatusCode] = field(default_factory=list)
+    refusal: str = ""
+    lost: dict[str, str] = field(default_factory=dict)
+
+    def lose_sessions(self, code: str) -> None:
+        self.lost |= dict.fromkeys(self.sessions, code)
+        self.sessions.clear()
+
+    def refuse_lost(self, session: str, context) -> None:
+        if code := self.refusal or self.lost.get(session, ""):
+            self.refusal = ""
+            context.abort_with_status(rpc_status.to_status(refused(code)))
 
     def CreateSession(self, message, context):
         request = wire.unpack(message, CreateSessionRequest)
@@ -114,6 +130,7 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
     def Reset(self, message, context):
         self.calls.append("Reset")
         request = wire.unpack(message, ResetRequest)
+        self.refuse_lost(request.session, context)
         session = self.sessions[request.session]
         if request.seed is not None:
             session.lines = lines(request.seed, len(session.lines))
@@ -124,6 +141,7 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
     def Step(self, message, context):
         self.calls.append("Step")
         request = wire.unpack(message, StepRequest)
+        self.refuse_lost(request.session, context)
         session = self.sessions[request.session]
         if request.step_id not in (session.steps, session.steps + 1):
             context.abort_with_status(rpc_status.to_status(OUT_OF_ORDER))
@@ -136,7 +154,8 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
         return wire.pack(session.last)
 
     def CloseSession(self, message, context):
-        self.sessions.pop(message.session)
+        if message.session not in self.lost:
+            self.sessions.pop(message.session)
         return wire.pack(CloseSessionResponse())
 
     @staticmethod
@@ -362,7 +381,130 @@ def test_what_cannot_be_made_leaves_nothing_behind(address: str, service: Sim) -
     assert "SimClient" not in {thread.name for thread in threading.enumerate()} - threads
 
 
+@pytest.mark.parametrize("task", TASKS)
+def test_every_info_has_the_same_keys(address: str, task: str) -> None:
+    with SimEnv(task, address) as env:
+        infos = [env.reset(seed=1)[1]]
+        for _ in range(3):
+            infos += [env.step(np.zeros_like(env.action_space.sample()))[-1] for _ in range(STEPS)]
+            infos.append(env.reset()[1])
+    assert {frozenset(info) for info in infos} == {frozenset({"diverged"})}
+    assert {type(info["diverged"]) for info in infos} == {bool}
+
+
+@pytest.mark.parametrize("code", ["session_not_found", "worker_lost"])
+def test_reset_takes_a_new_session_where_the_service_lost_the_old_one_and_says_so(
+    address: str, service: Sim, code: str
+) -> None:
+    with SimEnv("slide", address) as env:
+        env.reset(seed=3)
+        env.step(GO)
+        service.lose_sessions(code)
+        with pytest.raises(ServiceError) as lost:
+            env.step(GO)
+        assert lost.value.code == code
+        first, info = env.reset(seed=3)
+        assert info == {"diverged": False, "new_session": True}
+        second, *_, info = env.step(GO)
+        assert (second.max(), info) == (first.max() + 1, {"diverged": False})
+        assert env.reset()[1] == {"diverged": False}
+        assert len(service.sessions) == 1
+    assert service.sessions == {}
+
+
+def test_a_vector_begins_everywhere_in_a_new_session_whatever_was_to_be_reset(address: str, service: Sim) -> None:
+    envs = SimVectorEnv("hop", address, num_envs=3)
+    envs.reset()
+    service.lose_sessions("session_not_found")
+    _, info = envs.reset(options={"reset_mask": np.array([False, True, False])})
+    assert info["new_session"].all()
+    assert not envs.step(np.zeros(3, np.int64))[2].any()
+    envs.close()
+
+
+def test_another_refusal_of_a_reset_makes_no_session(address: str, service: Sim) -> None:
+    with SimEnv("slide", address) as env:
+        service.refusal = "overloaded"
+        with pytest.raises(Overloaded):
+            env.reset()
+        assert len(service.created) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [("frame_skip", "action_repeat"), ("camera", "cameras"), ("max_steps", "episode_timesteps"), ("hieght", "height")],
+)
+def test_an_option_that_there_is_not_is_named_beside_the_one_that_was_meant(
+    address: str, name: str, meant: str
+) -> None:
+    for make in (gymnasium.make, gymnasium.make_vec):
+        with pytest.raises(InvalidInput, match=f"got `{name}`; did you mean `{meant}`[?]"):
+            make("freerein/slide-v0", address=address, **{name: 1})
+
+
 # --- vectors
+
+
+@pytest.mark.parametrize("cameras", [("wrist",), ("front", "wrist")], ids=["box", "dict"])
+@pytest.mark.parametrize("task", TASKS)
+def test_a_vector_of_one_that_resets_in_the_next_step_is_what_gymnasium_makes_of_one(
+    address: str, task: str, cameras: tuple[str, ...]
+) -> None:
+    ours = gymnasium.make_vec(
+        f"freerein/{task}-v0", num_envs=1, address=address, cameras=cameras, autoreset_mode=AutoresetMode.NEXT_STEP
+    )
+    theirs = SyncVectorEnv([lambda: SimEnv(task, address, cameras=cameras)], autoreset_mode=AutoresetMode.NEXT_STEP)
+    assert ours.metadata == theirs.metadata
+    assert data_equivalence(ours.reset(seed=5), theirs.reset(seed=5), exact=True)
+    ours.action_space.seed(5)
+    for _ in range(3 * STEPS):
+        actions = ours.action_space.sample()
+        assert data_equivalence(ours.step(actions), theirs.step(actions), exact=True)
+    ours.close()
+    theirs.close()
+
+
+def test_where_an_episode_ends_the_next_step_begins_another_whatever_its_action(address: str, service: Sim) -> None:
+    envs = SimVectorEnv("slide", address, num_envs=3, autoreset_mode="NextStep", privileged=True)
+    first, _ = envs.reset(seed=2)
+    last, rewards, terminated, *_ = envs.step(np.stack([GO, STOP, GO]))
+    assert terminated.tolist() == [False, True, False]
+    assert (last[:, 0, 0, 0] - first[:, 0, 0, 0]).tolist() == [1, 2, 1]
+    assert rewards[1] == last[1].max()
+    nothing = np.full(2, np.nan, np.float32)
+    begun, rewards, terminated, truncated, info = envs.step(np.stack([GO, nothing, GO]))
+    [session] = service.sessions.values()
+    assert [line.steps for line in session.lines] == [2, 0, 2]
+    assert begun[:, 0, 0, 0].tolist() == [line.position for line in session.lines]
+    assert (begun[::2, 0, 0, 0] - last[::2, 0, 0, 0]).tolist() == [1, 1]
+    assert (rewards[1], terminated.any(), truncated.any()) == (0, False, False)
+    assert info["truth"]["state"][1, 0] == begun[1].max()
+    assert "final_obs" not in info
+    third, *_ = envs.step(np.stack([GO, GO, GO]))
+    assert (third[:, 0, 0, 0] - begun[:, 0, 0, 0]).tolist() == [1, 1, 1]
+    envs.close()
+
+
+def test_a_mask_resets_one_that_ended_and_leaves_another_that_is_to_reset_next(address: str) -> None:
+    envs = SimVectorEnv("slide", address, num_envs=3, autoreset_mode=AutoresetMode.NEXT_STEP)
+    envs.reset(seed=2)
+    last, *_ = envs.step(np.stack([GO, STOP, STOP]))
+    shown, _ = envs.reset(options={"reset_mask": np.array([False, True, False])})
+    assert (shown[2] == last[2]).all()
+    after, *_ = envs.step(np.stack([GO, GO, GO]))
+    assert after[1].max() == shown[1].max() + 1
+    envs.close()
+
+
+def test_gymnasiums_limit_of_steps_is_one_of_timesteps(address: str, service: Sim) -> None:
+    for limit, repeat in ((3, 1), (3, 2), (-1, 2), (None, 1)):
+        options = {"max_episode_steps": limit, "action_repeat": repeat, "address": address}
+        gymnasium.make_vec("freerein/slide-v0", num_envs=2, **options).close()
+    assert [request.max_episode_steps for request in service.asked] == [3, 6, 0, 0]
+    with pytest.raises(InvalidInput, match="`max_episode_steps` must be at least 1 step"):
+        SimVectorEnv("slide", address, num_envs=1, max_episode_steps=3, episode_timesteps=3)
+    with pytest.raises(InvalidInput, match="SAME_STEP or NEXT_STEP"):
+        SimVectorEnv("slide", address, num_envs=1, autoreset_mode=AutoresetMode.DISABLED)
 
 
 @pytest.mark.parametrize("cameras", [("wrist",), ("front", "wrist")], ids=["box", "dict"])

@@ -1,6 +1,7 @@
 """Stable-Baselines3's interface over a vector environment is what its own vectors of environments are."""
 
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any, ClassVar
 
 import gymnasium
@@ -9,7 +10,8 @@ import pytest
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from freerein.envs.sb3 import SB3VecEnv
 from freerein.errors import InvalidInput
@@ -76,6 +78,34 @@ def test_a_vector_is_what_stable_baselines_makes_of_its_environments(is_dict: bo
     np.testing.assert_array_equal(ours.render(), theirs.render())
     ours.close()
     theirs.close()
+
+
+@pytest.mark.parametrize("is_dict", [False, True], ids=["frame", "dict"])
+def test_what_normalises_observations_changes_a_space_of_its_own(is_dict: bool) -> None:
+    envs = same_step(lambda: Walk(is_dict=is_dict), 2)
+    before = deepcopy(envs.single_observation_space)
+    ours = SB3VecEnv(envs)
+    VecNormalize(ours, norm_obs_keys=["front", "left"] if is_dict else None)
+    assert envs.single_observation_space == before
+    assert ours.observation_space is not envs.single_observation_space
+
+
+@pytest.mark.parametrize("is_dict", [False, True], ids=["frame", "dict"])
+def test_small_frames_are_enlarged_on_request(is_dict: bool) -> None:
+    plain, ours = (same_step(lambda: Walk(is_dict=is_dict), 2) for _ in range(2))
+    large = SB3VecEnv(ours, render_size=36)
+    first, _ = plain.reset(seed=3)
+    large.seed(3)
+    for seen, expected in [(large.reset(), first)]:
+        for name in ("front", "left") if is_dict else (...,):
+            np.testing.assert_array_equal(seen[name], expected[name].repeat(9, axis=1).repeat(9, axis=2))
+    infos = [info for _ in range(5) for info in large.step(np.zeros((2, 1), np.float32))[-1]]
+    last = next(info["terminal_observation"] for info in infos if "terminal_observation" in info)
+    assert large.observation_space.contains(last)
+
+
+def test_cnn_policy_takes_enlarged_frames() -> None:
+    PPO("CnnPolicy", SB3VecEnv(same_step(lambda: Walk(is_dict=False), 2), render_size=36), n_steps=2, batch_size=4)
 
 
 def test_statistics_of_gymnasiums_wrapper_reach_the_learner() -> None:

@@ -131,6 +131,15 @@ def test_each_step_is_rewarded_by_the_frame_after_it(make: Callable[[], Brighter
     env.close()
 
 
+def test_the_info_of_a_reset_has_the_keys_of_a_steps(make: Callable[[], Brighter], address: str, judge: Judge) -> None:
+    env = TextReward(make(), BRIGHT, address=address, token="secret")
+    asked = len(judge.requests)
+    _, info = env.reset(seed=0)
+    assert len(judge.requests) == asked
+    assert np.isnan([info["similarity"], info["in_distribution"]]).all()
+    assert info.keys() == env.step(0)[-1].keys() - {"own"}  # of the environment's steps alone
+
+
 def test_a_vector_is_rewarded_by_one_call_and_where_an_episode_ends_by_its_last_frame(
     make: Callable[[], Brighter], address: str, judge: Judge
 ) -> None:

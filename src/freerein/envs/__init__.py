@@ -21,7 +21,7 @@ except ModuleNotFoundError as error:
 
 from freerein.envs.registration import TASKS, register
 from freerein.envs.sim_env import SimEnv as SimEnv
-from freerein.envs.sim_env import SimVectorEnv as SimVectorEnv
+from freerein.envs.sim_vector_env import SimVectorEnv as SimVectorEnv
 from freerein.envs.text_reward import TextReward as TextReward
 from freerein.envs.text_reward import VectorTextReward as VectorTextReward
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from typing import Any, TypedDict
 
 import numpy as np
@@ -10,7 +11,14 @@ from gymnasium import spaces
 
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.envs.leased_session import LeasedSession
-from freerein.errors import FailedPrecondition, InvalidInput, Overloaded, StepOutOfOrder
+from freerein.errors import (
+    FailedPrecondition,
+    InvalidInput,
+    Overloaded,
+    SessionNotFound,
+    StepOutOfOrder,
+    WorkerLost,
+)
 from freerein.ports import PORTS
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (
@@ -23,12 +31,21 @@ from freerein.types.sim import (
     Task,
     Truth,
 )
+from freerein.unknown_names import described
 
 Pixels = npt.NDArray[np.uint8]
 Observation = Pixels | dict[str, Pixels]
 
 ADDRESS = f"127.0.0.1:{PORTS['sim'].grpc}"
 _LEASE_S = 60.0
+_MEANINGS = {
+    **dict.fromkeys(("max_episode_steps", "max_steps", "time_limit"), "episode_timesteps"),
+    **dict.fromkeys(("frame_skip", "frameskip"), "action_repeat"),
+    "camera_name": "cameras",
+    "camera": "cameras",
+    "render_size": "height",
+}
+"""Options of other packages' environments, and what they are here."""
 
 
 class SessionOptions(TypedDict, total=False):
@@ -74,6 +91,7 @@ class EnvSession:
         observation_space: Of one environment: Box uint8 (H, W, C), or a Dict of Boxes for several cameras.
         action_space: Of one environment: Box float32 (A,) in [-1, 1], or Discrete.
         metadata: Gymnasium's `render_modes` and `render_fps`.
+        is_new: Whether the latest `begin` took a new session, as the service had lost the old one.
     """
 
     def __init__(
@@ -93,10 +111,11 @@ class EnvSession:
         render_mode: str | None = None,
         token: str = "",
         root_certificates: bytes | None = None,
+        **unknown: object,
     ) -> None:
-        _check_options(render_mode, action_repeat)
-        self._sim = SyncClient(SimClient(Channel(address, token=token, root_certificates=root_certificates)))
-        request = CreateSessionRequest(
+        _check_options(render_mode, action_repeat, unknown)
+        self._connect = partial(Channel, address, token=token, root_certificates=root_certificates)
+        self._request = CreateSessionRequest(
             task,
             num_envs,
             lease_s=lease_s,
@@ -106,21 +125,41 @@ class EnvSession:
             conditions=tuple(conditions),
             max_episode_steps=episode_timesteps,
         )
+        self._action_repeat = action_repeat
+        self.is_new = False
+        self._open()
         with ExitStack() as on_error:
-            on_error.callback(self._sim.close)
-            self._lease = LeasedSession(self._sim, request)
             on_error.callback(self.close)
-            self._session = self._lease.created.session
             self.task: Task = self._lease.created.task
-            self._step_id, self._action_repeat = 0, action_repeat
-            self._unknown = 0  # latest steps of which it is unknown whether they were made
-            self._ahead = 0  # by how many steps the count may be too large since `reset`
             self.cameras = tuple(cameras) or (self.task.cameras[0].name,)
             self.observation_space = _observation_space(self.task, self.cameras, height, width)
             self.action_space = _action_space(self.task.action)
             step_s = action_repeat * self.task.control_dt_s
             self.metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 1.0 / step_s}
             on_error.pop_all()
+
+    def _open(self) -> None:
+        """Creates the session, over a connection of its own."""
+        self._sim = SyncClient(SimClient(self._connect()))
+        with ExitStack() as on_error:
+            on_error.callback(self._sim.close)
+            self._lease = LeasedSession(self._sim, self._request)
+            on_error.pop_all()
+        self._session = self._lease.created.session
+        self._step_id = 0
+        self._unknown = 0  # latest steps of which it is unknown whether they were made
+        self._ahead = 0  # by how many steps the count may be too large since `reset`
+
+    def begin(self, *, seed: int | None, envs: tuple[int, ...] = ()) -> ResetResponse:
+        """Begins new episodes as `reset`; where the service lost the session, in all environments of another one."""
+        self.is_new = False
+        try:
+            return self.reset(seed=seed, envs=envs)
+        except (SessionNotFound, WorkerLost):
+            self.close()
+            self._open()
+            self.is_new = True
+            return self.reset(seed=seed)
 
     def reset(self, *, seed: int | None, envs: tuple[int, ...] = ()) -> ResetResponse:
         """Begins new episodes in `envs`, or in all environments if empty."""
@@ -204,7 +243,15 @@ def truth_info(truth: Truth | None, index: int) -> dict[str, Any]:
     return {"truth": {"state": np.array(state), "reward": float(reward), "success": bool(success)}}
 
 
-def _check_options(render_mode: str | None, action_repeat: int) -> None:
+def _check_options(render_mode: str | None, action_repeat: int, unknown: Mapping[str, object]) -> None:
+    for name in unknown:
+        known = SessionOptions.__annotations__
+        raise InvalidInput(
+            f"Options of an environment are {', '.join(f'`{each}`' for each in known)}; "
+            f"got {described(name, known, _MEANINGS)}",
+            field="options",
+            hint="help(freerein.envs.env_session.SessionOptions) describes them.",
+        )
     if render_mode not in (None, "rgb_array"):
         raise InvalidInput(
             "`render_mode` must be None or rgb_array; got another one.", field="render_mode", hint="Ask for rgb_array."

@@ -9,6 +9,7 @@ except ModuleNotFoundError as error:
     ) from error
 
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import Any
 
 import gymnasium
@@ -18,6 +19,7 @@ from gymnasium.vector import VectorEnv
 from gymnasium.wrappers.vector import DictInfoToList
 
 from freerein.envs.autoreset import check_same_step
+from freerein.envs.enlarged_frames import enlarged, enlarged_space
 from freerein.envs.env_session import Observation
 
 _NO_SINGLE_ENVIRONMENTS = "The environments of a vector step together: no single one has methods or attributes to set."
@@ -30,15 +32,19 @@ class SB3VecEnv(VecEnv):
 
     Args:
         envs: Reset in the step that ends an episode (`AutoresetMode.SAME_STEP`).
+        render_size: Least height and width of frames, in pixels: smaller ones are enlarged by a whole factor.
+            Stable-Baselines3's `CnnPolicy` needs 36. 0 leaves them as they are.
 
     Raises:
         InvalidInput: They reset in another one.
     """
 
-    def __init__(self, envs: VectorEnv[Observation, Any, npt.NDArray[Any]]) -> None:
+    def __init__(self, envs: VectorEnv[Observation, Any, npt.NDArray[Any]], *, render_size: int = 0) -> None:
         check_same_step(envs)
         self._envs = DictInfoToList(envs)
-        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+        self._render_size = render_size
+        space = enlarged_space(envs.single_observation_space, render_size)  # a copy: `VecNormalize` changes its own
+        super().__init__(envs.num_envs, space, deepcopy(envs.single_action_space))
         self.metadata = envs.metadata | self.metadata
 
     def reset(self) -> VecEnvObs:
@@ -46,7 +52,7 @@ class SB3VecEnv(VecEnv):
         observations, self.reset_infos = self._envs.reset(seed=self._seeds[0], options=self._options[0] or None)
         self._reset_seeds()
         self._reset_options()
-        return observations
+        return self._enlarged(observations)
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Notes the actions for `step_wait`."""
@@ -60,9 +66,15 @@ class SB3VecEnv(VecEnv):
             if ended[index]:
                 last, final_info = info.pop("final_obs"), info.pop("final_info")
                 self.reset_infos[index] = dict(info)
-                info.update(final_info, terminal_observation=last)
+                info.update(final_info, terminal_observation=self._enlarged(last))
             info["TimeLimit.truncated"] = bool(truncated[index] and not terminated[index])
-        return observations, rewards.astype(np.float32), ended, infos
+        return self._enlarged(observations), rewards.astype(np.float32), ended, infos
+
+    def _enlarged(self, observations: Observation) -> VecEnvObs:
+        """Returns observations, (..., H, W, C) or a dict of them, as large as the space says."""
+        if isinstance(observations, dict):
+            return {name: enlarged(each, self._render_size) for name, each in observations.items()}
+        return enlarged(observations, self._render_size)
 
     def close(self) -> None:
         """Closes the environments."""

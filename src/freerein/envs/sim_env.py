@@ -1,4 +1,4 @@
-"""Gymnasium environments over the sim service, with images as the only observations.
+"""A Gymnasium environment over the sim service, with images as the only observations.
 
 An observation is a camera's frame, uint8 (H, W, C), or a dict of frames for several cameras. The reward is 0.0, since
 rewards come from reward models.
@@ -12,14 +12,12 @@ from typing import Any, Unpack
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 
 from freerein.envs.env_session import ADDRESS, EnvSession, Observation, Pixels, SessionOptions, frames_of, truth_info
-from freerein.errors import FailedPrecondition, InvalidInput
-from freerein.types.sim import CameraFrames, StepResponse
+from freerein.errors import FailedPrecondition
+from freerein.types.sim import StepResponse, Truth
 
-_METADATA: dict[str, Any] = {"render_modes": ["rgb_array"]}
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
 
 class SimEnv(gymnasium.Env[Observation, Any]):
@@ -37,7 +35,7 @@ class SimEnv(gymnasium.Env[Observation, Any]):
         ServiceError: As every method: the service refused, was unreachable or did not answer in time.
     """
 
-    metadata = _METADATA
+    metadata = METADATA
 
     def __init__(self, task: str, address: str = ADDRESS, **options: Unpack[SessionOptions]) -> None:
         self._session = EnvSession(task, address, **options)
@@ -53,12 +51,18 @@ class SimEnv(gymnasium.Env[Observation, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins an episode; `options` are ignored."""
+        """Begins an episode; `options` are ignored.
+
+        `info` has the keys of a step's; in a privileged session `truth` is missing where the service had begun the
+        episode already. `info["new_session"]` is there, and true, where the service had lost the session, as by a
+        restart, and made another one; without a seed its episodes are drawn anew.
+        """
         super().reset(seed=seed)
-        begun, info = self._begun, dict[str, Any]()
+        begun, info = self._begun, reset_info(None, 0, is_new_session=False)
         if begun is None or seed is not None:
-            reply = self._session.reset(seed=seed)
-            begun, info = frames_of(reply.frames, 0), truth_info(reply.truth, 0)
+            reply = self._session.begin(seed=seed)
+            begun = frames_of(reply.frames, 0)
+            info = reset_info(reply.truth, 0, is_new_session=self._session.is_new)
         self._latest, self._begun = begun, None
         return self._session.observation(begun), info
 
@@ -76,7 +80,7 @@ class SimEnv(gymnasium.Env[Observation, Any]):
         if terminated or truncated:
             self._latest, self._begun = frames_of(reply.final_frames, 0), self._latest
         observation = self._session.observation(self._latest)
-        return observation, float(_reward(reply)[0]), terminated, truncated, _step_info(reply, 0)
+        return observation, float(rewards_of(reply)[0]), terminated, truncated, step_info(reply, 0)
 
     def render(self) -> Pixels | None:
         """Returns the first camera's latest frame, uint8 (H, W, 3); None unless `render_mode` is `rgb_array`."""
@@ -87,97 +91,17 @@ class SimEnv(gymnasium.Env[Observation, Any]):
         self._session.close()
 
 
-class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]]):
-    """`num_envs` environments of one session, stepped by one call.
-
-    Autoreset is SAME_STEP: where an episode ends, the observation is the first of the next episode, and
-    `info["final_obs"]` and `info["final_info"]` hold the last of the old one.
-
-    The arguments are those of `SimEnv`, and `num_envs`, N. `info["truth"]` of an environment whose episode ended is in
-    `final_info`; `render()` returns a tuple with a frame of each environment.
-
-    Raises:
-        ServiceError: As every method: the service refused, was unreachable or did not answer in time.
-    """
-
-    metadata = _METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
-
-    def __init__(self, task: str, address: str = ADDRESS, *, num_envs: int, **options: Unpack[SessionOptions]) -> None:
-        self._session = EnvSession(task, address, num_envs=num_envs, **options)
-        self.task = self._session.task
-        self.cameras = self._session.cameras
-        self.num_envs = num_envs
-        self.render_mode = options.get("render_mode")
-        self.metadata = type(self).metadata | self._session.metadata
-        self.single_observation_space = self._session.observation_space
-        self.single_action_space = self._session.action_space
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self._latest: CameraFrames | None = None
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begins episodes in all environments, or where `options["reset_mask"]`, bool (N,), is true.
-
-        Args:
-            seed: Environment i draws from `SeedSequence(seed).spawn(N)[i]`; None keeps the generators.
-            options: None, or `{"reset_mask": mask}`.
-        """
-        super().reset(seed=seed)
-        envs = _masked(options["reset_mask"], self.num_envs) if options and "reset_mask" in options else ()
-        reply = self._session.reset(seed=seed, envs=envs)
-        self._latest = reply.frames
-        info: dict[str, Any] = {}
-        for index in envs or range(self.num_envs):
-            info = self._add_info(info, truth_info(reply.truth, index), index)
-        return self._session.observation(reply.frames), info
-
-    def step(
-        self, actions: npt.ArrayLike
-    ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
-        """Takes one action in each environment: float32 (N, A) in [-1, 1], or discrete choices (N,).
-
-        Returns:
-            Observations; rewards, float64 (N,); terminated and truncated, bool (N,); info, with `diverged` bool (N,).
-        """
-        reply = self._session.step(actions)
-        self._latest = reply.frames
-        terminated, truncated = reply.terminated.copy(), reply.truncated.copy()
-        info: dict[str, Any] = {}
-        ended = 0
-        for index in range(self.num_envs):
-            step_info = _step_info(reply, index)
-            if terminated[index] or truncated[index]:
-                final = self._session.observation(frames_of(reply.final_frames, ended))
-                step_info, ended = {"final_obs": final, "final_info": step_info}, ended + 1
-            info = self._add_info(info, step_info, index)
-        return self._session.observation(reply.frames), _reward(reply), terminated, truncated, info
-
-    def render(self) -> tuple[Pixels, ...] | None:
-        """Returns each environment's latest frame of the first camera, uint8 (H, W, 3); None without a render mode."""
-        return tuple(self._session.rgb_frames(self._latest)) if self.render_mode else None
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """Closes the session; called by `close`."""
-        self._session.close()
-
-
-def _reward(reply: StepResponse) -> npt.NDArray[np.float64]:
+def rewards_of(reply: StepResponse) -> npt.NDArray[np.float64]:
+    """Returns the rewards of a step, float64 (N,): zeros, or in a privileged session the oracle's."""
     return np.array(reply.reward if reply.truth is None else reply.truth.reward, np.float64)
 
 
-def _step_info(reply: StepResponse, index: int) -> dict[str, Any]:
+def reset_info(truth: Truth | None, index: int, *, is_new_session: bool) -> dict[str, Any]:
+    """Returns the `info` of a reset of one environment: the keys of a step's, and `new_session` where that is so."""
+    new_session = {"new_session": True} if is_new_session else {}
+    return {"diverged": False, **new_session, **truth_info(truth, index)}
+
+
+def step_info(reply: StepResponse, index: int) -> dict[str, Any]:
+    """Returns the `info` of a step of one environment."""
     return {"diverged": bool(reply.diverged[index]), **truth_info(reply.truth, index)}
-
-
-def _masked(mask: npt.ArrayLike, num_envs: int) -> tuple[int, ...]:
-    """Returns the indices where a reset mask is true."""
-    array = np.asarray(mask)
-    if array.shape != (num_envs,) or array.dtype != np.bool_ or not array.any():
-        raise InvalidInput(
-            f"`reset_mask` must be bool ({num_envs},) with a true value; got {array.dtype} {array.shape}.",
-            field="reset_mask",
-            hint="Leave it out to reset all environments.",
-        )
-    return tuple(int(index) for index in np.flatnonzero(array))

@@ -68,6 +68,13 @@ class TextReward(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordCo
         super().__init__(env)
         self._rewards = _FrameRewards(env, env.observation_space, goal_text, **options)
 
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins an episode; `info` has the keys of a step's, NaN: no reward is asked of its first frame."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return observation, {**info, **dict.fromkeys(self._rewards.judgements, np.nan)}
+
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Takes one action; the reward is that of the frame after it."""
         observation, _, terminated, truncated, info = self.env.step(action)
@@ -123,7 +130,11 @@ class VectorTextReward(VectorWrapper[Observation, Any, Observation, Any, npt.NDA
 
 
 class _FrameRewards:
-    """The reward service's answers to observations; see `RewardOptions`."""
+    """The reward service's answers to observations; see `RewardOptions`.
+
+    Attributes:
+        judgements: What each answer adds to `info`, by name.
+    """
 
     def __init__(
         self,
@@ -149,6 +160,7 @@ class _FrameRewards:
             answer = self._ask({name: np.zeros((1, *shape), np.uint8) for name, shape in shapes.items()})
             _check_known(answer)
             self._request = replace(self._request, model=answer.model)
+            self.judgements = tuple(_judgements(answer))
             on_error.pop_all()
 
     def of(self, observations: Observation) -> RewardResponse:
