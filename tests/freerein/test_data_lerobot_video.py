@@ -172,6 +172,10 @@ def unknown_codec(root: Path) -> None:
     encode(root / VIDEO.format("001"), moving_square(1), codec="mpeg2video")
 
 
+def turned(root: Path) -> None:
+    encode(root / VIDEO.format("001"), moving_square(1).swapaxes(1, 2))
+
+
 def frame_missing(root: Path) -> None:
     encode(root / VIDEO.format("001"), moving_square(1)[:3])
 
@@ -197,6 +201,7 @@ def rows_missing(root: Path) -> None:
         (truncated_video, "file-001.mp4` must be a complete mp4"),
         (no_mp4, "file-000.mp4` must be an mp4"),
         (unknown_codec, "it has the codec mpeg2video"),
+        (turned, "must have frames of the proportions that the dataset declares, 48 x 64; they are 64 x 48"),
         (frame_missing, "frame at 0.300 s, number 3 of 4 of a trajectory; the video ends before"),
         (other_rate, "frame at 0.100 s, number 1 of 5 of a trajectory; the next one is at"),
         (truncated_rows, "truncated or corrupt"),

@@ -12,8 +12,9 @@ import numpy.typing as npt
 from freerein import images
 from freerein.data.action_table import read_actions
 from freerein.data.annotations import read_tags
-from freerein.data.importing import Source, are_stretched, stretch_notes
+from freerein.data.importing import Source
 from freerein.data.layout import DatasetSpec
+from freerein.data.proportions import are_stretched, stretch_notes
 from freerein.data.recordings import (
     ACTIONS,
     CAMERA,
@@ -96,9 +97,8 @@ class FolderSource(Source):
         named = sorted(set(self._spec.cameras) - {CAMERA})
         cameras = f"cameras {', '.join(self._spec.cameras)}" if named else "one camera"
         tagged = f"{len(self._skills)} with tags" if self._skills else "no tags"
-        return (
-            f"{first}{f' to {others[-1]}' if others else ''}, {cameras}, {tagged}, {self._spec.fps} timesteps a second"
-        )
+        names = f"{first} to {others[-1]}" if others else first
+        return f"{names}, {cameras}, {tagged}, {self._spec.fps} timesteps a second"
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Imports trajectories of other tools as a dataset of ours: all of them, or none."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -17,9 +17,6 @@ from freerein.data.trajectory_file import State
 from freerein.data.writer import Writer, create
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.types.common import Trajectory
-
-_ROUNDING = 1.03
-"""Ratio of proportions up to which they are one: 1080 x 1920 is scaled to 72 x 128, or to 54 x 96."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,24 +119,6 @@ def _append(writer: Writer, root: Path, source: Source, recorded: Recorded) -> N
         named = InvalidInput(detail, field=error.field, hint=error.hint)
         if not source.skips(named):
             raise named from None
-
-
-def are_stretched(shape: tuple[int, ...], size: tuple[int, int]) -> bool:
-    """Returns whether frames (H, W, ...) have other proportions than a height and width; rounding is allowed."""
-    ratio = shape[0] * size[1] / (shape[1] * size[0])
-    return not 1 / _ROUNDING <= ratio <= _ROUNDING
-
-
-def stretch_notes(stretched: Mapping[str, tuple[int, ...]], size: tuple[int, int] | None) -> tuple[str, ...]:
-    """Returns a sentence about frames, by name, that are stretched from a height and width to `size`; none without."""
-    if not stretched or size is None:
-        return ()
-    name, (height, width) = next(iter(stretched.items()))
-    others = f" and those of {len(stretched) - 1} others" if len(stretched) > 1 else ""
-    return (
-        f"Frames of `{name}`, {height} x {width},{others} were stretched to {size[0]} x {size[1]}, of other "
-        "proportions: crop or turn them first.",
-    )
 
 
 def _taken() -> AlreadyExists:

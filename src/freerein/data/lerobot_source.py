@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.data.annotations import read_tags
-from freerein.data.importing import Recorded, Source, are_stretched, stretch_notes
+from freerein.data.importing import Recorded, Source
 from freerein.data.layout import DatasetSpec
 from freerein.data.lerobot_features import DEFAULTS, LeRobotOptions, shown
+from freerein.data.proportions import are_stretched, stretch_notes
 from freerein.data.reader import Dataset
 from freerein.data.timestep_texts import TextKind, TimestepTexts
 from freerein.errors import InvalidInput, NotFound, UnsupportedMedia

@@ -277,7 +277,8 @@ class Dataset:
         height, width, channels = self.spec.cameras[camera]
         spans = [self._videos[camera][index] for index in items]
         cut = [replace(span, length=min(span.length, most or span.length)) for span in spans]
-        return video_frames(cut, fps=self.spec.fps, size=(*(size or (height, width)), channels))
+        scaled = (*(size or (height, width)), channels)
+        return video_frames(cut, fps=self.spec.fps, size=scaled, declared=(height, width))
 
     def _image_frames(
         self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None, most: int | None

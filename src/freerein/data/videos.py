@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from freerein.data.proportions import are_stretched
 from freerein.errors import InvalidInput
 from freerein.video import Video, VideoBounds, VideoFrame, open_video
 
@@ -36,7 +37,7 @@ class VideoSpan:
 
 
 def video_frames(
-    spans: Sequence[VideoSpan], *, fps: int, size: tuple[int, int, int]
+    spans: Sequence[VideoSpan], *, fps: int, size: tuple[int, int, int], declared: tuple[int, int]
 ) -> Iterator[npt.NDArray[np.uint8]]:
     """Yields the frames of each span, uint8 (T, H, W, C); each file is decoded once where spans are in its order.
 
@@ -44,9 +45,10 @@ def video_frames(
         spans: Where they lie.
         fps: Frames per second.
         size: (H, W, C) to scale them to.
+        declared: Height and width of the dataset's frames; a file may have others of these proportions.
 
     Raises:
-        InvalidInput: A file is missing or corrupt, or lacks a frame at one of the times.
+        InvalidInput: A file is missing or corrupt, has other proportions, or lacks a frame at one of the times.
         UnsupportedMedia: As `open_video`.
         Unimplemented: No decoder is installed.
     """
@@ -55,7 +57,9 @@ def video_frames(
         for span in spans:
             if span.file != current or span.start_s <= position_s:
                 opened.close()
-                frames, current = iter(opened.enter_context(_open(span, size))), span.file
+                video = opened.enter_context(_open(span, size))
+                _check_proportions(video, declared, span.file)
+                frames, current = iter(video), span.file
             found = np.empty((span.length, *size), np.uint8)
             for index, frame in enumerate(_at_times(frames, span, fps)):
                 found[index], position_s = frame.pixels, frame.time_s
@@ -88,6 +92,16 @@ def _open(span: VideoSpan, size: tuple[int, int, int]) -> Video:
         raise InvalidInput(
             f"The video `{span.file}` must be in the dataset; it is missing.", hint="Restore it from a copy."
         ) from None
+
+
+def _check_proportions(video: Video, declared: tuple[int, int], file: str) -> None:
+    own = (video.info.height, video.info.width)
+    if are_stretched(own, declared):
+        raise InvalidInput(
+            f"`{file}` must have frames of the proportions that the dataset declares, {declared[0]} x {declared[1]}; "
+            f"they are {own[0]} x {own[1]}.",
+            hint="Turn or crop the video, or write the dataset again with LeRobot.",
+        )
 
 
 def _at_times(frames: Iterator[VideoFrame], span: VideoSpan, fps: int) -> Iterator[VideoFrame]:
