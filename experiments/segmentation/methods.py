@@ -32,11 +32,12 @@ trajectories, the table over timesteps), `majority` always the trajectory's long
 filter over time and the merging of segments under 5 timesteps.
 
 `gap closed` is (value - lse) / (supervised in the same context - lse), where that gap is at least half a point; this
-`lse` is the dissertation's, which is causal. In other contexts it is a row of its own, and may do better: `gap, best
-lse` is the share of the gap from the best of them on the same figure. Intervals are by bootstrap over seeds and over
-trajectories, which all seeds share: with three seeds they are about the range of the seeds, and cover less than 95 %.
-With one seed, and for guesses, they are over trajectories only, and say nothing about other seeds. `minutes` are of all
-seeds, on machines that differ, some with a GPU: they do not compare rows. Each result names its machine."""
+`lse` is the dissertation's, which is causal. A claim takes the least of four: from that, and from the published
+objective and context that is best by true labels; of labels as they are, and decoded. Intervals are by bootstrap over
+seeds and over trajectories, which all seeds share: with three seeds they are about the range of the seeds, and cover
+less than 95 %. With one seed, and for guesses, they are over trajectories only, and say nothing about other seeds.
+`minutes` are of all seeds, on machines that differ, some with a GPU: they do not compare rows. Each result names its
+machine."""
 
 
 def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tuple[Method, ...]:

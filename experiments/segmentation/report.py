@@ -9,9 +9,9 @@ from experiments.segmentation.decoded import Decoded
 from experiments.segmentation.delay import moved
 from experiments.segmentation.evaluation import ACTION_LOSS, DECODED_ACCURACY, DELAY, FRAME_ACCURACY
 from experiments.segmentation.guesses import TRUTH, in_equal_parts
-from experiments.segmentation.rows import PER_CENT, Row, Rows
+from experiments.segmentation.rows import LEAST_GAP, PER_CENT, Row, Rows
 from experiments.segmentation.study import Study
-from experiments.segmentation.targets import LEAST_GAP, Target
+from experiments.segmentation.targets import Target
 from experiments.workbench import claims
 from experiments.workbench.claims import Claim, Scale
 from experiments.workbench.plots import interval_plot
@@ -47,8 +47,7 @@ _CLAIM_HEADER = (
     "figure",
     "value, % [95 % interval]",
     "must reach",
-    "gap closed",
-    "gap, best lse",
+    "gap closed: from lse, from the best baseline; decoded, from lse, from the best",
     "met",
     "missing",
 )
@@ -179,16 +178,14 @@ def _target_claim(report: Report, study: Study, rows: Rows, target: Target) -> C
 
 def _target_cells(target: Target, claim: Claim, rows: Rows) -> tuple[str, ...]:
     missing = target.missing(rows) + (["reduced scale"] if claim.scale == "reduced" else [])
-    baseline = rows.best_baseline(target.figure)
-    best = claims.gap_closed(claim.value, baseline=baseline, ceiling=claim.ceiling, least_gap=LEAST_GAP)
+    gaps = ["" if gap is None else f"{gap:.2f}" for gap in target.gaps(rows)]
     return (
         target.claim,
         " ".join(filter(None, target.row(rows))),
         target.figure,
         _value_cell(claim),
         "" if claim.target is None else f"{claim.target:.2f}",
-        "" if claim.gap_closed is None else f"{claim.gap_closed:.2f}",
-        "" if best is None else f"{best:.2f}",
+        f"{', '.join(gaps[:2])}; {', '.join(gaps[2:])}" if any(gaps) else "",
         "yes" if claim.met else "no",
         "; ".join(missing),
     )
@@ -213,7 +210,7 @@ def _row_cells(rows: Rows, row: Row, made: Sequence[Claim], development: Rows) -
     rates = sorted({arm.figures["lr"] for arm in arms if "lr" in arm.figures})
     decoded = _DECODED_FIGURES if row.context else ()
     return (
-        row.method,
+        row.method if rows.is_trained(row) else f"{row.method} (not trained)",
         row.context,
         *(_value_cell(claim) for claim in made),
         "" if test.dissertation is None else " / ".join(f"{claim.dissertation:g}" for claim in made),

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from experiments.segmentation.evaluation import ACTION_LOSS, IS_DECIDED, TAG_LOSS
+from experiments.segmentation.evaluation import ACTION_LOSS, GUESSED_TAG_LOSS, IS_DECIDED, TAG_LOSS
 from experiments.segmentation.study import SUPERVISED
 from experiments.workbench import claims
 from experiments.workbench.results import ArmResult, Sample
@@ -23,6 +23,15 @@ class Row(NamedTuple):
 
 BASELINE = Row("lse", "causal")
 """The dissertation's method."""
+
+PUBLISHED = ("lse", "lse_as_published", "mil", "fcn_mil", "ccnn", "ccnn_without_share")
+"""Objectives that the dissertation compares; any of them, in any context, may be the best baseline."""
+
+LEAST_GAP = 0.5
+"""Per cent between baseline and ceiling below which the share of the gap that is closed means nothing."""
+
+_MOST_OF_GUESSED = 0.98
+"""Loss of held-out tags, relative to that of the best constant scores, from which on a network has learned nothing."""
 
 
 @dataclass(frozen=True)
@@ -89,9 +98,30 @@ class Rows:
         return self.value(BASELINE, figure) if row.context and row.method != BASELINE.method else None
 
     def best_baseline(self, figure: str) -> float | None:
-        """Returns the value of the dissertation's objective in the context that suits it best, by true labels."""
-        values = [self.value(row, figure) for row in self.arms if row.method == BASELINE.method]
+        """Returns the value of that published objective and context which is best, by true labels."""
+        values = [self.value(row, figure) for row in self.arms if row.method in PUBLISHED]
         return max((value for value in values if value is not None), default=None)
+
+    def gaps(self, row: Row, figures: Sequence[str]) -> list[float | None]:
+        """Returns the share of the gap to full supervision that a row closes: a sceptic takes the least.
+
+        For each figure it is that from the dissertation's method, then that from the best baseline.
+        """
+        return [
+            claims.gap_closed(
+                self.value(row, figure) or 0.0,
+                baseline=baseline,
+                ceiling=self.ceiling(row, figure),
+                least_gap=LEAST_GAP,
+            )
+            for figure in figures
+            for baseline in (self.baseline(row, figure), self.best_baseline(figure))
+        ]
+
+    def is_trained(self, row: Row) -> bool:
+        """Returns whether the row's networks learned more of the tags than constant scores have."""
+        figures = [arm.figures for arm in self.arms[row] if GUESSED_TAG_LOSS in arm.figures]
+        return all(each[TAG_LOSS] < _MOST_OF_GUESSED * each[GUESSED_TAG_LOSS] for each in figures)
 
     def ceiling(self, row: Row, figure: str) -> float | None:
         """Returns the value with full supervision in a network's context; None for itself."""

@@ -25,7 +25,7 @@ from experiments.segmentation.decoded import Decoded
 from experiments.segmentation.packed import pack, unpack
 from experiments.segmentation.rows import Row, Rows
 from experiments.segmentation.study import Method, Study
-from experiments.segmentation.targets import TEST_ACCURACY, Target
+from experiments.segmentation.targets import DECODED_TEST_ACCURACY, TEST_ACCURACY, Target
 from experiments.workbench.arms import Arm
 from experiments.workbench.results import ArmResult, Sample
 
@@ -287,6 +287,7 @@ def test_a_trial_that_was_stopped_chooses_nothing(tmp_path: Path) -> None:
 def rows_with(**accuracies: float) -> Rows:
     """Returns the rows of three networks each, named by method and context."""
     names = {"lse": Row("lse", "causal"), "ours": Row("ours", "all"), "bound": Row("supervised", "all")}
+    names["fcn_mil"] = Row("fcn_mil", "causal")
     results = [
         ArmResult(
             name="",
@@ -349,6 +350,31 @@ def test_ours_is_compared_with_the_dissertations_method_in_the_dissertations_con
     assert rows.baseline(Row("lse", "all"), TEST_ACCURACY) is None
     assert rows.best_baseline(TEST_ACCURACY) == pytest.approx(80)
     assert Rows.of(rows_of("ours", {"all": (0.5, 0.5)}), "dial").best_baseline(TEST_ACCURACY) is None
+
+
+def test_a_gap_counts_from_the_best_baseline_and_decoded_where_that_is_less() -> None:
+    decoded = {"lse": 0.7, "fcn_mil": 0.9, "ours": 0.92, "bound": 1.0}
+    rows = rows_with(lse=0.6, fcn_mil=0.8, ours=0.9, bound=1.0)
+    with_decoded = Rows(
+        {
+            row: [
+                replace(arm, samples={**arm.samples, DECODED_TEST_ACCURACY: Sample([100 * share] * 20, [100] * 20)})
+                for arm in arms
+            ]
+            for (row, arms), share in zip(rows.arms.items(), decoded.values(), strict=True)
+        }
+    )
+    ours = Row("ours", "all")
+    gaps = with_decoded.gaps(ours, (TEST_ACCURACY, DECODED_TEST_ACCURACY))
+    assert gaps == pytest.approx([0.75, 0.5, 0.22 / 0.3, 0.2])
+    (missing,) = Target("claim", "dial", (ours,), least_gap_closed=0.5).missing(with_decoded)
+    assert missing == "gap closed 0.20 is below 0.5"
+
+
+def test_a_network_that_knows_no_more_of_the_tags_than_guessing_is_not_trained() -> None:
+    known, unknown = (rows_of("mil", {"causal": (loss, 1.0)}, guessed_validation_loss=1.0) for loss in (0.9, 0.99))
+    row = Row("mil", "causal")
+    assert [Rows.of(each, "dial").is_trained(row) for each in (known, unknown)] == [True, False]
 
 
 @pytest.mark.parametrize(
