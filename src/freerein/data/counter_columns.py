@@ -8,6 +8,9 @@ import numpy.typing as npt
 _FEWEST_COUNTS, _FEWEST_RISES = 2, 4
 """Steps of a column, over all trajectories, from which it is a counter, or a clock: fewer may be chance."""
 
+_EPOCH = 1e8
+"""Below any time since the epoch, and above what robots do."""
+
 
 class CounterColumns:
     """Finds the numbers of an action that count, or only grow, in every trajectory.
@@ -29,7 +32,8 @@ class CounterColumns:
             return
         rises = np.diff(actions.astype(np.float64), axis=0)
         counts = np.all(np.isclose(rises, 1, atol=1e-6), axis=0)
-        grows = np.all(rises >= 0, axis=0) & (np.mean(rises > 0, axis=0) > 0.5)
+        is_epoch = np.all(np.abs(actions) > _EPOCH, axis=0)  # float32 has no seconds there
+        grows = np.all(rises >= 0, axis=0) & (is_epoch | (np.mean(rises > 0, axis=0) > 0.5))
         self._counts = counts if self._counts is None else self._counts & counts
         self._grows = grows if self._grows is None else self._grows & grows
         self._steps += len(rises)

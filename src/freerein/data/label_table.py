@@ -177,7 +177,8 @@ class _Reader:
 
 
 def _delimiter(table: bytes) -> str:
-    first = next((each for each in table.splitlines() if each.strip()), b"")
+    lines = (each for each in table.splitlines() if each.strip() and each[:1] != b"#" and each[:2] != b'"#')
+    first = next(lines, b"")
     return next((each for each in "\t,;" if each.encode() in first), " ")
 
 
@@ -196,9 +197,7 @@ def _by_names(found: list[tuple[int, list[str]]]) -> _Table | None:
         unit = _UNITS.get(time[2] or _own_unit(key)) if time else None
         if role and (role not in roles or (unit == "seconds" and units[role] != "seconds")):
             roles[role], units[role] = column, unit
-    is_named = (
-        {"start", "end"} <= set(roles) or {"timestep", "skill"} <= set(roles) or {"trajectory", "skill"} <= set(roles)
-    )
+    is_named = any(needed <= set(roles) for needed in _NEEDED) or (len(columns) == 1 and "skill" in roles)
     if not is_named or len(set(columns)) != len(columns):
         return None
     return columns, roles, units.get("start"), found[1:]

@@ -22,7 +22,7 @@ class SkillNames:
     """
 
     def __init__(self, known: Iterable[str], on_note: Callable[[str], None]) -> None:
-        self._known = set(known)
+        self._known = frozenset(known)
         self._by_key = {_key(name): name for name in sorted(self._known, reverse=True)}
         self._noted = set[str]()
         self._on_note = on_note
@@ -38,21 +38,27 @@ class SkillNames:
     def one(self, text: str) -> str:
         """Returns the spelling of one skill; raises ValueError as `split`."""
         name = " ".join(normal(text).split())
-        found = next((each for each in (text.strip(), name) if each in self._known), None)
-        return found or self._folded(_checked(name))
+        if name not in self._known:
+            _check_apart(normal(text))
+            name = self._folded(_checked(name))
+        return name
 
     def _folded(self, name: str) -> str:
         spelling = self._by_key.setdefault(_key(name), name)
         if normal(spelling) != name and name not in self._noted:
             self._noted.add(name)
-            self._on_note(f"`{name}` was taken for `{spelling}`: names differ by more than capital letters and spaces.")
+            self._on_note(f"`{name}` was taken for `{spelling}`: capital letters and spaces make no difference.")
         return spelling
 
 
-def _checked(name: str) -> str:
+def _check_apart(name: str) -> None:
     separator = next((each for each in name if each in _OTHER_SEPARATORS), "")
     if separator:
-        raise ValueError(f"separate skills by `{SEPARATOR}`, such as reach;pour; it has a `{separator}` in a name")
+        shown = f"a `{separator}`" if separator.isprintable() else "a tab or a new line"
+        raise ValueError(f"separate skills by `{SEPARATOR}`, such as reach;pour; it has {shown} in a name")
+
+
+def _checked(name: str) -> str:
     if not 0 < len(name) <= _LONGEST or not name.isprintable():
         raise ValueError(f"hold names of 1 to {_LONGEST} characters, separated by `{SEPARATOR}`; it does not")
     return name
