@@ -1,6 +1,7 @@
 """Whether a child process came to a standstill, as where a file system does not answer; others wait for its place."""
 
 import time
+from contextlib import suppress
 from pathlib import Path
 
 STANDSTILL_S = 300.0
@@ -17,7 +18,7 @@ class Standstill:
     """
 
     def __init__(self, pid: int, *, limit_s: float = STANDSTILL_S) -> None:
-        self._stat = Path(f"/proc/{pid}/stat")
+        self._pid = pid
         self._limit_s = limit_s
         self._ticks = 0
         self._since_s = time.monotonic()
@@ -28,15 +29,25 @@ class Standstill:
         Args:
             progressed: Whether it made progress since the last call, or says what it waits for.
         """
-        ticks = self._cpu_ticks()
-        if progressed or ticks >= self._ticks + _LEAST_CPU_TICKS:
+        ticks = _cpu_ticks(self._pid) + sum(map(_cpu_ticks, _children(self._pid)))
+        if progressed or abs(ticks - self._ticks) >= _LEAST_CPU_TICKS:  # fewer where a grandchild has ended unseen
             self._ticks, self._since_s = ticks, time.monotonic()
         return time.monotonic() - self._since_s >= self._limit_s
 
-    def _cpu_ticks(self) -> int:
-        """Returns the CPU time of the child and of its own children that have ended; 0 once it has ended."""
-        try:
-            fields = self._stat.read_text().rpartition(")")[2].split()  # its name may hold anything
-        except OSError:
-            return 0
-        return sum(map(int, fields[11:15]))  # utime, stime, cutime, cstime
+
+def _cpu_ticks(pid: int) -> int:
+    """Returns the CPU time of a process and of its children that have ended; 0 once it has ended itself."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()  # its name may hold anything
+    except OSError:
+        return 0
+    return sum(map(int, fields[11:15]))  # utime, stime, cutime, cstime
+
+
+def _children(pid: int) -> list[int]:
+    """Returns the running children of a process, such as decoders of video."""
+    found = list[int]()
+    with suppress(OSError):  # a thread may end meanwhile
+        for thread in Path(f"/proc/{pid}/task").glob("*/children"):
+            found += map(int, thread.read_text().split())
+    return found
