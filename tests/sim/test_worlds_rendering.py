@@ -10,9 +10,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from freerein.cli.doctor import machine
 from freerein.errors import FailedPrecondition
 from freerein.serving.lifecycle import CONFIGURATION_ERROR
 from freerein_sim.worlds.blocks import TASKS
+from freerein_sim.worlds.opengl import check_rendering
 from freerein_sim.worlds.rendering import gray, open_renderer
 from freerein_sim.worlds.world import Frame, World
 
@@ -118,6 +120,58 @@ def test_the_service_does_not_start_with_a_backend_that_is_missing(without: Call
 
     assert ended.returncode == CONFIGURATION_ERROR
     assert HINT in ended.stderr
+
+
+SAID = {
+    "a device that there is not": (
+        {"MUJOCO_GL": "egl", "MUJOCO_EGL_DEVICE_ID": "77"},
+        "The MUJOCO_EGL_DEVICE_ID environment variable must be an integer between 0 and",
+    ),
+    "a device that is no number": ({"MUJOCO_EGL_DEVICE_ID": "x"}, "invalid literal for int() with base 10: 'x'"),
+    "no screen": ({"MUJOCO_GL": "glfw", "DISPLAY": ""}, "Expected a screen for MUJOCO_GL=glfw"),
+    "a screen that there is not": (
+        {"MUJOCO_GL": "glfw", "DISPLAY": ":99"},
+        "MuJoCo cannot: an OpenGL platform library has not been loaded",
+    ),
+}
+
+
+@pytest.mark.parametrize(("variables", "said"), SAID.values(), ids=SAID)
+def test_what_mujoco_says_is_said_by_worlds_the_service_at_its_start_and_the_doctor(
+    variables: dict[str, str], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert said in run(**variables)
+    for name in ("MUJOCO_GL", "PYOPENGL_PLATFORM", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(FailedPrecondition) as refused:
+        check_rendering()
+    found = machine.check_rendering()
+    assert (found.state, found.detail, found.fix) == ("problem", refused.value.detail, refused.value.hint)
+    assert said in found.detail
+    assert "apt-get" not in found.fix
+
+
+def test_the_service_does_not_start_with_a_device_that_there_is_not() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "freerein_sim"],
+        env=environ(MUJOCO_EGL_DEVICE_ID="77"),
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert ended.returncode == CONFIGURATION_ERROR
+    assert "must be an integer between 0 and" in ended.stderr
+
+
+def test_the_doctor_says_with_what_the_service_renders(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
+    found = machine.check_rendering()
+    assert (found.state, found.detail.split(":")[0]) == ("ok", "osmesa")
+    check_rendering()
 
 
 def test_worlds_that_share_a_context_see_each_their_own_scene() -> None:

@@ -13,7 +13,7 @@ from freerein_sim.core import SimCore
 from freerein_sim.settings import SimSettings
 from freerein_sim.step_stream import StepStream
 from freerein_sim.workers.pool import WorkerPool
-from freerein_sim.worlds.opengl import check_mujoco_gl
+from freerein_sim.worlds.opengl import check_rendering
 
 NAME = "sim"
 
@@ -21,8 +21,8 @@ NAME = "sim"
 def build(
     settings: SimSettings, limits: Limits, _metrics: Metrics, health: Health, *, start_child: StartChild = spawn
 ) -> Service:
-    """Returns the service; a MUJOCO_GL that cannot be used ends the process here, not each worker later."""
-    check_mujoco_gl()
+    """Returns the service; what the environment says of rendering ends the process here where it is wrong."""
+    check_rendering()
     pool = WorkerPool(start_child, workers=settings.sim_workers, demonstrators=settings.sim_workers)
     core = SimCore(pool, max_sessions=settings.sim_sessions, max_envs=settings.sim_envs)
     step_stream = StepStream(core, health, limits.drain_s)

@@ -4,14 +4,15 @@ Shadows, reflections, haze, skybox and multisampling are off, and the offscreen 
 """
 
 import importlib
+import sys
 import threading
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from freerein.errors import FailedPrecondition, Unimplemented
-from freerein_sim.worlds.opengl import INSTALL_HINT, choose_backend
+from freerein.errors import FailedPrecondition, ServiceError, Unimplemented
+from freerein_sim.worlds.opengl import choose_backend, failure_hint
 from freerein_sim.worlds.world import Frame
 
 _OFF = (
@@ -21,6 +22,11 @@ _OFF = (
     mujoco.mjtRndFlag.mjRND_HAZE,
 )
 
+_FAILURES = (ImportError, AttributeError, OSError, RuntimeError, ValueError, UserWarning, mujoco.FatalError)
+"""What PyOpenGL, GLFW and MuJoCo raise."""
+
+_GL_RENDERER = 0x1F01
+_LONGEST_SENTENCE = 300
 _LUMA_THOUSANDTHS = np.array([299, 587, 114], np.uint32)
 
 
@@ -34,9 +40,7 @@ class Renderer:
         self.uses = 0
         self._thread = threading.get_ident()
         self._model = model
-        self._gl = _open_gl(max(model.vis.global_.offwidth, model.vis.global_.offheight))
-        self._gl.make_current()
-        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        self._gl, self._context = _open_gl(model)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._scene = mujoco.MjvScene(model, _count_drawn(model))
         for flag in _OFF:
@@ -90,7 +94,7 @@ def open_renderer(model: mujoco.MjModel) -> Renderer:
     """Returns this thread's renderer of the model. Every call needs one `close` on the same thread.
 
     Raises:
-        Unimplemented: This machine has neither EGL nor OSMesa.
+        Unimplemented: This machine has neither EGL nor OSMesa, or what it has cannot render.
     """
     renderer = _thread.renderers.get(id(model))
     if renderer is None:
@@ -109,10 +113,31 @@ class _ThreadRenderers(threading.local):
 _thread = _ThreadRenderers()
 
 
-def _open_gl(size_px: int) -> Any:
-    """Returns MuJoCo's OpenGL context."""
+def _open_gl(model: mujoco.MjModel) -> tuple[Any, mujoco.MjrContext]:
+    """Returns an OpenGL context, and MuJoCo's in it."""
     backend = choose_backend()
+    size_px = max(model.vis.global_.offwidth, model.vis.global_.offheight)
     try:
-        return importlib.import_module(f"mujoco.{backend}").GLContext(size_px, size_px)
-    except (ImportError, AttributeError, OSError, RuntimeError) as error:  # what PyOpenGL raises
-        raise Unimplemented(f"Expected to render with {backend}; this machine cannot.", hint=INSTALL_HINT) from error
+        gl = importlib.import_module(f"mujoco.{backend}").GLContext(size_px, size_px)
+        gl.make_current()
+        return gl, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+    except _FAILURES as error:
+        said = " ".join(str(error).split()).rstrip(".")[:_LONGEST_SENTENCE]
+        raise Unimplemented(
+            f"Expected to render with {backend}; MuJoCo cannot: {said}.", hint=failure_hint(backend)
+        ) from error
+
+
+def main() -> None:
+    """Renders nothing, and writes with what; ends with 1, and the reason and a hint on one line, where it cannot."""
+    try:
+        renderer = open_renderer(mujoco.MjModel.from_xml_string("<mujoco/>"))
+    except ServiceError as error:
+        sys.exit(f"{error.detail} | {error.hint}")
+    device = importlib.import_module("OpenGL.GL").glGetString(_GL_RENDERER).decode()
+    renderer.close()
+    sys.stdout.write(f"{choose_backend()}: {device}\n")
+
+
+if __name__ == "__main__":
+    main()

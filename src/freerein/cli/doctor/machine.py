@@ -65,7 +65,12 @@ def check_python() -> CheckResult:
 
 
 def check_rendering() -> CheckResult:
-    """Checks that MuJoCo renders offscreen: by EGL or OSMesa, or by the backend in MUJOCO_GL."""
+    """Checks that MuJoCo renders offscreen: by EGL or OSMesa, or by the backend in MUJOCO_GL.
+
+    Where the sim service is installed, it does what that does.
+    """
+    if importlib.util.find_spec("freerein_sim"):
+        return _check_rendering_of_sim()
     asked = os.environ.get("MUJOCO_GL", "").lower()
     tried = [asked] if asked else ["egl", "osmesa"]
     for backend in tried:
@@ -74,6 +79,18 @@ def check_rendering() -> CheckResult:
             return CheckResult("rendering", "ok", f"{backend}: {renderer}")
     fix = "apt-get install libegl1 libgl1 libopengl0, or libosmesa6 where there is one; MUJOCO_GL may be unset."
     return CheckResult("rendering", "problem", f"{' and '.join(tried)} cannot render", fix)
+
+
+def _check_rendering_of_sim() -> CheckResult:
+    command = [sys.executable, "-m", "freerein_sim.worlds.rendering"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired:
+        return CheckResult("rendering", "problem", f"does not end within {_TIMEOUT_S:g} s", "Unset MUJOCO_GL.")
+    if not done.returncode:
+        return CheckResult("rendering", "ok", done.stdout.strip())
+    detail, _, fix = (done.stderr.strip().splitlines() or [""])[-1].partition(" | ")
+    return CheckResult("rendering", "problem", detail, fix)
 
 
 def check_meshes() -> CheckResult:
