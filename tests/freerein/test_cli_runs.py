@@ -23,6 +23,9 @@ pytestmark = [pytest.mark.e2e, pytest.mark.long]
 FEW = ("start", "collect", "--set", "task=grid", "--set", "dataset=few", "--set", "count=3", "--key", "few")
 LARGE = ("start", "collect", "--set", "task=blocks", "--set", "count=20", "--watch")  # few are under way at once
 MANY = ("start", "collect", "--set", "task=grid", "--set", "count=150", "--watch")
+_SMALL = {"iterations": 1, "num_envs": 2, "num_steps": 8, "epochs": 1, "batch_size": 8, "episode_steps": 4}
+_PPO = {"task": "blocks.yellow-left-of-green", "reward": "oracle", "encoder": "spatial", **_SMALL}
+PPO = ("start", "ppo", *(word for key, value in _PPO.items() for word in ("--set", f"{key}={value}")), "--key", "ppo")
 
 
 class Orchestrator:
@@ -144,6 +147,24 @@ def test_a_run_that_is_cancelled_is_resumed_to_its_end(orchestrator: Orchestrato
 
     assert (cancelled["state"], resumed["state"], resumed["step"]) == ("cancelled", "succeeded", resumed["steps"])
     assert _run("watch", run_id).exit_code == 0  # the end of the first attempt is not the end
+
+
+def test_a_ppo_run_that_has_succeeded_is_trained_on() -> None:
+    *_, first = _json(*PPO, "--watch")
+    *_, more = _json("resume", first["id"][:8], "--iterations", "2", "--watch")
+
+    assert more["id"] != first["id"]
+    assert more["config"] == {**first["config"], "iterations": 2, "resume_from": first["id"]}
+    assert more["metrics"]["timesteps"] == 3 * first["metrics"]["timesteps"]
+    assert "--iterations" in _run("resume", first["id"]).stderr
+
+
+def test_only_ppo_runs_are_trained_on() -> None:
+    run_id = _json(*FEW, "--watch")[0]["id"]
+
+    assert _run("resume", run_id, "--iterations", "0").exit_code == 2
+    refused = _run("resume", run_id, "--iterations", "2")
+    assert (refused.exit_code, "of kind collect" in refused.stderr) == (1, True)
 
 
 def test_a_watcher_outlives_the_orchestrator(orchestrator: Orchestrator) -> None:

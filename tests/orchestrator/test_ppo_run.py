@@ -81,6 +81,40 @@ def test_a_run_leaves_a_policy_a_card_and_metrics(ppo: Callable[..., Any], train
     assert more.artifact("policy.json")["sha256"] != card["sha256"]
 
 
+def test_a_run_goes_on_with_the_training_of_another(ppo: Callable[..., Any], trained: Any) -> None:
+    more = ppo(resume_from=RUN_ID, iterations=1, lr=1e-4)
+    more.check()
+    ppo(resume_from="earlier").check("earlier")
+    assert more.do()
+    figures = [run.artifact("policy.json")["figures"] for run in (trained, more)]
+    assert [each["iterations"] for each in figures] == [2, 3]
+    assert [each["timesteps"] for each in figures] == [96, 128]
+
+
+@pytest.mark.parametrize(
+    ("config", "field"),
+    [
+        ({"resume_from": RUN_ID, "num_envs": 4}, "config.num_envs"),
+        ({"resume_from": RUN_ID, "final_log_std": None}, "config.final_log_std"),
+        ({"resume_from": RUN_ID, "conditions": []}, "config.conditions"),
+        ({"resume_from": "1" * 32}, "config.resume_from"),
+        ({"resume_from": "nothing"}, "config.resume_from"),
+    ],
+)
+def test_a_run_that_cannot_go_on_with_another_is_refused_before_it_is_queued(
+    ppo: Callable[..., Any], trained: Any, config: dict[str, Any], field: str
+) -> None:
+    assert trained
+    with pytest.raises(InvalidInput) as raised:
+        ppo(**config).check()
+    assert raised.value.field == field
+
+
+def test_weights_alone_or_the_whole_training_but_not_both(ppo: Callable[..., Any]) -> None:
+    with pytest.raises(InvalidInput, match="got both"):
+        ppo(resume_from=RUN_ID, init_from=RUN_ID)
+
+
 def test_a_run_s_policy_is_published_and_answers(
     trained: Any, start_service: Callable[..., Any], data_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

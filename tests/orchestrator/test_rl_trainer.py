@@ -15,10 +15,17 @@ from freerein.errors import FailedPrecondition, InvalidInput, OutOfStorage
 from freerein.learning import checkpoints, tensor_files
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein_orchestrator.kinds.metrics_logger import MetricsLogger
-from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.config import PPOConfig, Schedule
 from freerein_orchestrator.rl.errors import Stopped
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
-from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec, to_checkpoint
+from freerein_orchestrator.rl.state import (
+    PPOState,
+    from_checkpoint,
+    init_state,
+    network_spec,
+    to_checkpoint,
+    trained_on,
+)
 from freerein_orchestrator.rl.trainer import Trainer
 from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecEnv, VecStep
 
@@ -173,12 +180,13 @@ def train(
     spoil: Spoil | None = None,
     interrupt: Callable[[], None] = lambda: None,
     log: list[str] | None = None,
+    finished: PPOState | None = None,
 ) -> PPOState:
-    """Trains on the dots, or resumes."""
+    """Trains on the dots, or resumes; goes on with a finished training if there is one."""
     collector = LocalCollector(DotEnvs(seed=99), config, spoil)
     return Trainer(
         folder,
-        init=lambda: dot_state(config),
+        init=lambda: trained_on(to_checkpoint(finished), config, device=CPU) if finished else dot_state(config),
         load=lambda checkpoint: from_checkpoint(checkpoint, config, device=CPU),
         collector=lambda _: collector,
         metrics_log=lambda last_step: MetricsLogger(folder, last_step=last_step),
@@ -352,3 +360,55 @@ def test_a_row_is_synced_before_the_checkpoint_that_counts_it(tmp_path: Path, mo
     train(tmp_path)
     kept = [name for name in synced if name in ("metrics.jsonl", "manifest.json.tmp")]
     assert kept == ["manifest.json.tmp", *["metrics.jsonl", "manifest.json.tmp"] * SHORT.iterations]
+
+
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_a_finished_training_goes_on_with_all_of_its_state(tmp_path: Path, recurrent: bool) -> None:
+    finished = train(tmp_path, replace(SHORT, recurrent=recurrent))
+    before, more = to_checkpoint(finished), replace(SHORT, recurrent=recurrent, iterations=3, lr=1e-3)
+    state = trained_on(before, more, device=CPU)
+    after = to_checkpoint(state).tensors
+    assert after.keys() == before.tensors.keys()
+    assert all(torch.equal(after[name], tensor) for name, tensor in before.tensors.items())
+    assert (state.iteration, state.schedule) == (0, Schedule(iterations=4, before=4))
+    assert state.timesteps == finished.timesteps
+
+
+def test_noise_and_learning_rate_keep_their_last_values(tmp_path: Path) -> None:
+    finished = train(tmp_path)
+    state = train(tmp_path / "more", finished=finished)
+    again = train(tmp_path / "again", replace(SHORT, iterations=1), finished=state)
+    lrs, timesteps = ([row[name] for row in rows(tmp_path / "more")] for name in ("lr", "timesteps"))
+    assert lrs == [pytest.approx(SHORT.lr / 5)] * 4
+    assert timesteps == [64.0 * iteration for iteration in (5, 6, 7, 8)]
+    assert again.schedule == Schedule(iterations=4, before=8)
+    assert again.schedule.log_std(SHORT, 0) == SHORT.final_log_std
+
+
+def test_a_training_that_goes_on_is_stopped_anywhere_and_ends_with_the_same_bits(tmp_path: Path) -> None:
+    finished = train(tmp_path / "finished")
+    expected = digest(train(tmp_path / "undisturbed", finished=finished))
+    for calls in (1, 4, 6, 2):
+        left = iter(range(calls))
+
+        def interrupt(left: Iterator[int] = left) -> None:
+            if next(left, None) is None:
+                raise Stopped
+
+        with pytest.raises(Stopped):
+            train(tmp_path, interrupt=interrupt, finished=finished)
+    assert digest(train(tmp_path, finished=finished)) == expected
+
+
+def test_a_checkpoint_of_a_version_without_schedules_is_resumed(tmp_path: Path, expected: str) -> None:
+    def stop() -> None:
+        if (tmp_path / "metrics.jsonl").is_file() and len(rows(tmp_path)) == 2:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        train(tmp_path, interrupt=stop)
+    saved = checkpoints.newest(tmp_path / "checkpoints", on_corrupt=lambda *_: None)
+    assert saved is not None
+    earlier = {name: value for name, value in saved.document.items() if name != "schedule"}
+    checkpoints.save(tmp_path / "checkpoints", replace(saved, document=earlier))
+    assert digest(train(tmp_path)) == expected

@@ -30,12 +30,13 @@ from freerein_orchestrator.envs.recovery import RecoveringCollector
 from freerein_orchestrator.envs.reward_fns import LearnedReward, RewardFn, oracle_reward, zero_reward
 from freerein_orchestrator.envs.vector_env import RemoteVectorEnv, open_groups
 from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.kinds.finished_training import check_sims, find_training
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups
 from freerein_orchestrator.rl.object_encoder import ObjectEncoder, load_object_encoder
-from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec
+from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec, trained_on
 from freerein_orchestrator.rl.trainer import Trainer
 from freerein_orchestrator.rl.visited_frames import fit_in_distribution, visited_frames
 
@@ -43,7 +44,7 @@ RewardForm: TypeAlias = Literal["learned", "base", "oracle"]
 
 _GROUNDING = "grounding"
 _VISITED_ROLLOUTS = 2  # as many timesteps as in two iterations
-_FIELD = "config.init_from"
+_FIELD, _RESUME_FIELD = "config.init_from", "config.resume_from"
 _SUPERVISION: Mapping[RewardForm, str] = {
     "learned": "goal text; the reward model saw images, noun phrases and captions made from pixels",
     "base": "goal text; the grounding model saw captions of single objects",
@@ -71,7 +72,13 @@ class PPORunConfig(PPOConfig):
         episode_steps: Timesteps after which training truncates an episode, so that more of them begin; 0 for the task's
             own length.
         init_from: Initial weights: a run's id, an earlier step of the same pipeline, or a policy among the models of
-            the orchestrator; empty for random weights.
+            the orchestrator; empty for random weights. Optimiser, reward normaliser, noise and schedule begin anew.
+        resume_from: A ppo run that has succeeded, or an earlier step of the same pipeline, whose training this one goes
+            on with for `iterations` more: weights, optimiser, reward normaliser, noise, schedule and environments as
+            they were. Keys other than those of the update must be those of that run.
+
+    Raises:
+        InvalidInput: Both `init_from` and `resume_from` are given.
     """
 
     task: str
@@ -84,6 +91,16 @@ class PPORunConfig(PPOConfig):
     action_repeat: int = bounded(2, least=1, most=16)
     episode_steps: int = bounded(50, least=0, most=10_000)
     init_from: str = ""
+    resume_from: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.init_from and self.resume_from:
+            raise InvalidInput(
+                "One of `init_from` and `resume_from` may be given; got both.",
+                field=_RESUME_FIELD,
+                hint="`resume_from` goes on with a training; `init_from` begins one with its weights alone.",
+            )
 
 
 def run(context: RunContext, config: PPORunConfig) -> None:
@@ -114,13 +131,15 @@ def run(context: RunContext, config: PPORunConfig) -> None:
 
 
 def check(config: PPORunConfig, store: PolicyStore, earlier: Collection[str]) -> None:
-    """Checks that the initial policy exists, or will.
+    """Checks that the initial policy, or the training to go on with, exists and fits, or will exist.
 
     Raises:
         InvalidInput: It does not.
     """
     if config.init_from and config.init_from not in earlier:
         store.load(config.init_from, field=_FIELD)
+    if config.resume_from and config.resume_from not in earlier:
+        find_training(store, config.resume_from, config, field=_RESUME_FIELD)
 
 
 KIND = Kind(partial(parse, PPORunConfig), steps=lambda config: config.iterations, run=run, check=check)
@@ -145,6 +164,8 @@ class _Training:
 
     def init(self) -> PPOState:
         """Returns the state before the first iteration."""
+        if self._config.resume_from:
+            return self._trained_on()
         config, task = self._config, find_task(self.sims[0], self._config.task)
         camera, goal_text = find_camera(task, config.camera), config.goal_text or task.goal_text
         eye = self._eye(goal_text, camera) if config.encoder == "goal_eye" else None
@@ -177,6 +198,13 @@ class _Training:
                 object_encoder=encoder.weights if encoder else None,
                 inputs=inputs,
             )
+
+    def _trained_on(self) -> PPOState:
+        """Returns the state of the training that this one goes on with."""
+        config = self._config
+        checkpoint = find_training(self._context.policies, config.resume_from, config, field=_RESUME_FIELD)
+        check_sims(checkpoint, len(self.sims))
+        return trained_on(checkpoint, config, device=self.device)
 
     def collector(self, state: PPOState) -> RecoveringCollector:
         """Returns what collects the rollouts of a state."""
@@ -261,5 +289,9 @@ def _card(config: PPORunConfig, state: PPOState, task: Task) -> dict[str, JSON]:
         "reward": config.reward,
         "supervision": _SUPERVISION[config.reward] + before,
         "config": asdict(config),
-        "figures": {"iterations": state.iteration, "timesteps": state.timesteps, **state.metrics},
+        "figures": {
+            "iterations": state.schedule.before + state.iteration,
+            "timesteps": state.timesteps,
+            **state.metrics,
+        },
     }

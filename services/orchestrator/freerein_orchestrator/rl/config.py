@@ -7,6 +7,34 @@ from freerein.learning.config import bounded, bounded_or_none
 
 _MAX_ROLLOUT = 131_072
 
+_LR_FALL = 0.8
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Where in its course a training is: learning rate and noise fall linearly, and keep their last values afterwards.
+
+    Attributes:
+        iterations: Iterations over which they fall.
+        before: Iterations done before the training's own first one, by the trainings that it goes on with.
+    """
+
+    iterations: int
+    before: int = 0
+
+    def lr(self, config: "PPOConfig", step: int) -> float:
+        """Returns the learning rate of the training's optimiser step, counted from 0."""
+        steps = self.iterations * config.steps_per_iteration
+        done = self.before * config.steps_per_iteration + step
+        return config.lr * (1 - _LR_FALL * min(done, steps) / steps)
+
+    def log_std(self, config: "PPOConfig", iteration: int) -> float:
+        """Returns the log standard deviation of continuous actions in the training's iteration, counted from 0."""
+        final = config.init_log_std if config.final_log_std is None else config.final_log_std
+        last = self.iterations - 1
+        fallen = min(self.before + iteration, last)
+        return config.init_log_std + (final - config.init_log_std) * fallen / max(1, last)
+
 
 @dataclass(frozen=True)
 class PPOConfig:
@@ -79,11 +107,6 @@ class PPOConfig:
                 field="config.batch_size",
                 hint=f"Choose {self.rollout_size // next(n for n in (4, 2, 1) if self.num_envs % n == 0)}.",
             )
-
-    def log_std(self, iteration: int) -> float:
-        """Returns the log standard deviation of continuous actions in an iteration, counted from 0."""
-        final = self.init_log_std if self.final_log_std is None else self.final_log_std
-        return self.init_log_std + (final - self.init_log_std) * iteration / max(1, self.iterations - 1)
 
     @property
     def rollout_size(self) -> int:

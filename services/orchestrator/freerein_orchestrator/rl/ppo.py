@@ -18,12 +18,11 @@ from freerein.learning.actor_critic.distributions import Distribution
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.optimiser import optimiser_step
 from freerein.learning.train_state import FitLoopState
-from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.config import PPOConfig, Schedule
 from freerein_orchestrator.rl.errors import IterationRejected
 from freerein_orchestrator.rl.rollout import RolloutBuffer
 
 _EPSILON = 1e-8
-_LR_FALL = 0.8
 
 
 def update(
@@ -32,6 +31,7 @@ def update(
     rewards: Tensor,
     config: PPOConfig,
     *,
+    schedule: Schedule,
     interrupt: Callable[[], None] = lambda: None,
 ) -> tuple[FitLoopState[ActorCritic], dict[str, float]]:
     """Returns the learner after one iteration's optimiser steps, and their mean metrics. Changes the network in place.
@@ -41,6 +41,7 @@ def update(
         rollout: Collected with the learner's weights.
         rewards: Possibly normalised, float32 (T, N).
         config: Hyperparameters.
+        schedule: Of the learning rate.
         interrupt: Called before each optimiser step; raises to stop.
 
     Raises:
@@ -52,8 +53,7 @@ def update(
         interrupt()
         minibatch = batch.select(learner.sampler.next_batch(config.batch_size // config.sequence_length))
         losses = evaluate(state.network, minibatch, clip_range=config.clip_range)
-        lr = config.lr * (1 - _LR_FALL * state.step / (config.iterations * config.steps_per_iteration))
-        state = optimiser_step(state, losses.total(config), lr=lr)
+        state = optimiser_step(state, losses.total(config), lr=schedule.lr(config, state.step))
         metrics.append(losses.metrics())
     means = {name: torch.stack([each[name] for each in metrics]).mean().item() for name in metrics[0]}
     means["explained_variance"] = 1.0 - (batch.advantages.var() / batch.returns.var().clamp(min=_EPSILON)).item()

@@ -5,7 +5,7 @@ No rollout is saved: the collector's state says where the next one starts, envir
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from typing import TypeAlias, cast
 
 import numpy as np
@@ -20,7 +20,7 @@ from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import parse
 from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState, tensors_under
-from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.config import PPOConfig, Schedule
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
 from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
 from freerein_orchestrator.rl.rewards import EnvRewards, RewardLearner
@@ -51,6 +51,7 @@ class PPOState:
         episodes: Statistics of the episodes under way.
         normaliser: Scales rewards; None without normalisation.
         reward_learner: Rewards rollouts; changed in place.
+        schedule: Where it is in the course of its learning rate and noise.
         inputs: What else the training was started with and must be resumed with.
         recorded: Trajectories recorded so far.
         metrics: Those of the last iteration.
@@ -62,6 +63,7 @@ class PPOState:
     episodes: EpisodeStats
     normaliser: ReturnNormaliser | None
     reward_learner: RewardLearner
+    schedule: Schedule
     inputs: Mapping[str, JSON] = field(default_factory=dict)
     recorded: int = 0
     metrics: Mapping[str, float] = field(default_factory=dict)
@@ -73,15 +75,16 @@ class PPOState:
 
     @property
     def iteration(self) -> int:
-        """Completed iterations."""
+        """Completed iterations, without those of the trainings that it goes on with."""
         return self.learner.state.step // self.config.steps_per_iteration
 
     @property
     def timesteps(self) -> int:
-        """Environment steps so far: those of rollouts, and those of exploration for the eye."""
+        """Environment steps so far, those of exploration and of the trainings that it goes on with included."""
         explorations = 0 if self.network.eye is None else self.config.explorations
         explored = explorations * _EXPLORATION_STEPS * self.config.num_envs
-        return (self.iteration * self.config.rollout_size + explored) * self.network.spec.action_repeat
+        iterations = self.schedule.before + self.iteration
+        return (iterations * self.config.rollout_size + explored) * self.network.spec.action_repeat
 
 
 def network_spec(
@@ -175,6 +178,7 @@ def init_state(
         episodes=EpisodeStats.init(config.num_envs),
         normaliser=ReturnNormaliser.init(config.num_envs) if config.normalise_rewards else None,
         reward_learner=make_reward_learner(network),
+        schedule=Schedule(config.iterations),
         inputs=inputs or {},
     )
 
@@ -240,6 +244,7 @@ def to_checkpoint(state: PPOState) -> Checkpoint:
         **made.document,
         "metrics": dict(state.metrics),
         "recorded": state.recorded,
+        "schedule": asdict(state.schedule),
         "reward": {**reward.document, "step": reward.step},
     }
     return replace(made, tensors={name: tensor.detach().clone() for name, tensor in tensors.items()}, document=document)
@@ -267,9 +272,49 @@ def from_checkpoint(
             with another torch version.
     """
     started = cast(Mapping[str, Mapping[str, JSON]], checkpoint.document["identity"])
-    fresh = _init_learner(config, parse(ActorCriticSpec, started["network"]), device)
     inputs = {**started["inputs"], **(inputs or {})}
-    learner = train_state.from_checkpoint(checkpoint, fresh, _identity(config, fresh.state.network, inputs))
+    fresh = _init_learner(config, parse(ActorCriticSpec, started["network"]), device)
+    identity = _identity(config, fresh.state.network, inputs)
+    learner = train_state.from_checkpoint(checkpoint, fresh, identity, defaults=_defaults(config))
+    return _restored(checkpoint, config, learner, make_reward_learner, inputs)
+
+
+def trained_on(
+    checkpoint: Checkpoint,
+    config: PPOConfig,
+    *,
+    device: torch.device,
+    make_reward_learner: MakeRewardLearner = env_rewards,
+    inputs: Mapping[str, JSON] | None = None,
+) -> PPOState:
+    """Returns the state before the first iteration of a training that goes on with that of a checkpoint.
+
+    It has all of the checkpoint's state: network, optimiser, normaliser, schedule, environments, generators.
+
+    Args:
+        checkpoint: From `to_checkpoint`.
+        config: Of the new training; `iterations` are its own. What shapes the state must be as in the checkpoint's.
+        device: The device of the new training.
+        make_reward_learner: The function that the earlier training was started with.
+        inputs: Inputs that the new training must be resumed with besides those of the checkpoint.
+    """
+    started = cast(Mapping[str, Mapping[str, JSON]], checkpoint.document["identity"])
+    fresh = _init_learner(config, parse(ActorCriticSpec, started["network"]), device)
+    identity = cast(Mapping[str, JSON], started)  # whichever torch it was trained with
+    learner = train_state.from_checkpoint(checkpoint, fresh, identity)
+    state = _restored(checkpoint, config, learner, make_reward_learner, {**started["inputs"], **(inputs or {})})
+    schedule = replace(state.schedule, before=state.schedule.before + state.iteration)
+    return replace(state, learner=replace(learner, state=replace(learner.state, step=0)), schedule=schedule)
+
+
+def _restored(
+    checkpoint: Checkpoint,
+    config: PPOConfig,
+    learner: FitLoopState[ActorCritic],
+    make_reward_learner: MakeRewardLearner,
+    inputs: Mapping[str, JSON],
+) -> PPOState:
+    """Returns the state of a checkpoint whose learner is restored."""
     reward_learner = make_reward_learner(learner.state.network)
     reward = cast(dict[str, JSON], checkpoint.document["reward"])
     tensors = tensors_under("reward/", checkpoint.tensors)
@@ -290,6 +335,7 @@ def from_checkpoint(
         episodes=EpisodeStats(collector["returns"], collector["lengths"]),
         normaliser=normaliser,
         reward_learner=reward_learner,
+        schedule=_schedule(checkpoint),
         inputs=inputs,
         recorded=cast(int, checkpoint.document["recorded"]),
         metrics=cast(Mapping[str, float], checkpoint.document["metrics"]),
@@ -306,6 +352,19 @@ def _init_learner(config: PPOConfig, spec: ActorCriticSpec, device: torch.device
     sequences = config.rollout_size // config.sequence_length
     sampler = BatchSampler.start(sequences, rng=np.random.default_rng(config.seed))
     return FitLoopState(TrainState(network, optimiser, generator), sampler)
+
+
+def _schedule(checkpoint: Checkpoint) -> Schedule:
+    """Returns the schedule of a checkpoint; earlier versions had none but that of the configuration."""
+    started = cast(Mapping[str, Mapping[str, JSON]], checkpoint.document["identity"])
+    own = {"iterations": started["config"]["iterations"]}
+    return Schedule(**cast(dict[str, int], checkpoint.document.get("schedule", own)))
+
+
+def _defaults(config: PPOConfig) -> dict[str, JSON]:
+    """Returns the defaults of a configuration's keys, for checkpoints of versions that did not have them all."""
+    defaults = {each.name: each.default for each in fields(config) if each.default is not MISSING}
+    return cast(dict[str, JSON], json.loads(json.dumps(defaults)))
 
 
 def _identity(config: PPOConfig, network: ActorCritic, inputs: Mapping[str, JSON]) -> dict[str, JSON]:

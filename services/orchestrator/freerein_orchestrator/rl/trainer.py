@@ -115,6 +115,7 @@ class Trainer:
                 row = {
                     **state.metrics,
                     "timesteps": float(state.timesteps),
+                    "lr": state.schedule.lr(state.config, state.learner.state.step),
                     "steps_per_s": state.config.rollout_size / (time.monotonic() - began_s),
                     "recoveries": float(collector.recoveries - recoveries),
                     "rejected": float(rejected),
@@ -131,7 +132,7 @@ class Trainer:
         """One iteration of PPO: collect, reward, update the policy, update the reward learner."""
         self.interrupt()
         if state.config.final_log_std is not None:
-            state.network.set_log_std(state.config.log_std(state.iteration))
+            state.network.set_log_std(state.schedule.log_std(state.config, state.iteration))
         rollout, after = collector.collect(state.network, state.collector)
         rewards = state.reward_learner.rewards(rollout)
         episodes, ended = state.episodes.update(rewards, rollout.dones)
@@ -141,7 +142,9 @@ class Trainer:
         normaliser = state.normaliser
         if normaliser is not None:
             rewards, normaliser = normaliser.normalise(rewards, rollout.dones, gamma=state.config.gamma)
-        learner, metrics = ppo.update(state.learner, rollout, rewards, state.config, interrupt=self.interrupt)
+        learner, metrics = ppo.update(
+            state.learner, rollout, rewards, state.config, schedule=state.schedule, interrupt=self.interrupt
+        )
         metrics |= state.reward_learner.update(rollout) | ended.metrics()
         recorded = state.recorded + (0 if self.recorder is None else self.recorder.count(rollout))
         state = replace(

@@ -39,6 +39,7 @@ _REOPEN_S = 1.0
 _MAX_WAITING = 256
 _PART_BYTES = 1 << 20
 _THREADS = 4
+_TRAIN_ON = "`freerein runs resume ID --iterations N` trains a ppo run on, as a new run with `resume_from`."
 
 T = TypeVar("T")
 
@@ -207,7 +208,7 @@ class RunService:
                     raise FailedPrecondition(
                         f"A run to resume must be failed or cancelled; this one is {state}.",
                         field="id",
-                        hint="Start a new run, or cancel this one first.",
+                        hint=_TRAIN_ON if state == "succeeded" else "Watch it, or cancel it first.",
                     )
                 self._store.record(request.id, "queued")  # before its worker records that it runs
                 self._queue.resume(request.id)

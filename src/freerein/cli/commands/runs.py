@@ -19,12 +19,14 @@ from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_run
 from freerein.cli.output import AsJson, ago, command, print_json, show_all
 from freerein.clients import OrchestratorClient
+from freerein.errors import InvalidInput
 from freerein.jobs import wall_clock
 from freerein.types.jobs import MetricRow
 from freerein.types.orchestrator import (
     CancelRunRequest,
     GetArtifactRequest,
     GetMetricsRequest,
+    GetRunRequest,
     ListArtifactsRequest,
     ListRunsRequest,
     ResumeRunRequest,
@@ -53,6 +55,10 @@ _Metrics = Annotated[
 _Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the run, or its first digits; see `freerein runs list`.")]
 _Name = Annotated[str, typer.Argument(metavar="NAME", help="Artifact to fetch; without it, all are listed.")]
 _Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Output file or folder, `-` for stdout; default NAME.")]
+
+_Iterations = Annotated[
+    int | None, typer.Option(min=1, help="Train a ppo run that has succeeded on: so many iterations, as a new run.")
+]
 
 _STDOUT = Path("-")
 
@@ -105,10 +111,14 @@ def cancel(run: _Id, as_json: AsJson = False) -> None:
 
 @app.command()
 @command
-def resume(run: _Id, watch: _Watch = False, as_json: AsJson = False) -> None:
-    """Resume a failed or cancelled run from its last checkpoint."""
+def resume(run: _Id, *, iterations: _Iterations = None, watch: _Watch = False, as_json: AsJson = False) -> None:
+    """Resume a failed or cancelled run from its last checkpoint; with --iterations, train a ppo run on."""
     run_id = _whole(run)
-    _show_or_watch(_ask(lambda client: client.resume_run(ResumeRunRequest(run_id))).run, watch=watch, as_json=as_json)
+    if iterations:
+        resumed = _ask(lambda client: _train_on(client, run_id, iterations))
+    else:
+        resumed = _ask(lambda client: client.resume_run(ResumeRunRequest(run_id))).run
+    _show_or_watch(resumed, watch=watch, as_json=as_json)
 
 
 @app.command()
@@ -131,6 +141,19 @@ def _whole(run: str) -> str:
     if len(run) == ID_DIGITS:
         return run
     return whole_id(run, [each.id for each in _ask(_all_runs)], list_command="freerein runs list")
+
+
+async def _train_on(client: OrchestratorClient, run_id: str, iterations: int) -> Run:
+    """Starts a run that goes on with a ppo run that has succeeded, with its configuration."""
+    run = (await client.get_run(GetRunRequest(run_id))).run
+    if run.kind != "ppo":
+        raise InvalidInput(
+            f"--iterations trains a ppo run on; this run is of kind {run.kind}.",
+            field="iterations",
+            hint="Leave --iterations out to resume it, or start a new run.",
+        )
+    own = {"init_from": "", "resume_from": run_id, "iterations": iterations}
+    return (await client.start_run(StartRunRequest("ppo", {**run.config, **own}))).run
 
 
 async def _all_runs(client: OrchestratorClient) -> list[Run]:
