@@ -29,7 +29,7 @@ from freerein.types.segmentation import (
     SegmentStreamResponse,
     Timesteps,
 )
-from freerein.video import open_video
+from freerein.video import frames_at_rate, open_video
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 
 pytestmark = pytest.mark.e2e
@@ -271,6 +271,9 @@ async def test_a_video_is_labelled_at_the_rate_that_the_model_was_trained_on_or_
         rate = fps or 10
         assert (len(answer.labels), answer.fps, answer.model.name) == (count, rate, TEN_PER_SECOND.name)
         assert answer.time_s == pytest.approx(np.arange(count) / rate)
+        with open_video(faster, channels=1) as opened:
+            sampled = np.stack([frame.pixels for frame in frames_at_rate(opened, fps=rate, file="demo.mp4")])
+        assert answer.labels.tolist() == (await client.segment(SegmentRequest(TEN_PER_SECOND, sampled))).labels.tolist()
         query = {"model.name": TEN_PER_SECOND.name, "fps": str(fps)}
         async with httpx.AsyncClient(base_url=service.url, timeout=300, trust_env=False) as rest:
             over_rest = (await rest.post("/v1/segment", files={"video": ("demo.mp4", faster)}, data=query)).json()
