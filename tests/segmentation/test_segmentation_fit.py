@@ -1,4 +1,5 @@
 import json
+import os
 import re
 from contextlib import nullcontext
 from pathlib import Path
@@ -35,6 +36,15 @@ def test_a_configuration_names_the_only_camera_and_every_default(tmp_path: Path)
     record(tmp_path, "demos")
     config = METHODS.resolve(tmp_path, "demos", {"steps": 3}, threads=2)
     assert [config[key] for key in ("method", "cameras", "steps", "threads")] == ["set_supervised", ("front",), 3, 2]
+
+
+@pytest.mark.fault("F16")
+def test_a_pipe_in_a_dataset_is_refused_before_a_fit_begins(tmp_path: Path) -> None:
+    data = record(tmp_path, "demos") / "data" / "chunk-000" / "file-001.parquet"
+    data.unlink()
+    os.mkfifo(data)
+    with pytest.raises(InvalidInput, match="`Trajectory 1` must be a regular file; it is a pipe"):
+        METHODS.resolve(tmp_path, "demos", {}, threads=1)
 
 
 def test_frames_that_no_network_is_made_for_are_refused_before_a_fit_begins(tmp_path: Path) -> None:
