@@ -7,7 +7,7 @@
 A trajectory is named by its index, LeRobot's `episode_index`. Nothing changes unless the whole file is valid.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -106,16 +106,16 @@ def label(
 
 
 def read_tags(
-    table: bytes, names: Sequence[str], *, on_note: Callable[[str], None] = _unnoted
+    table: bytes, names: Sequence[str], *, known: Iterable[str] = (), on_note: Callable[[str], None] = _unnoted
 ) -> dict[str, tuple[str, ...]]:
-    """Returns the skills of trajectories by name, as `tag` reads those by index.
+    """Returns the skills of trajectories by name, as `tag` reads those by index; `known` are skills that there are.
 
     Raises InvalidInput where a line is not as there, or names none of the trajectories `names`.
     """
-    skills, known = SkillNames((), on_note), {normal(name): name for name in names}
+    skills, by_name = SkillNames(known, on_note), {normal(name): name for name in names}
     given = dict[str, tuple[str, ...]]()
     for line in lines(table, _TAG_COLUMNS, hint=_SEVERAL_HINT):
-        name = known.get(normal(line.cells["trajectory"]))
+        name = by_name.get(normal(line.cells["trajectory"]))
         if name is None:
             raise line.error("trajectory", "name a trajectory that is there; it does not", f"The first is {names[0]}.")
         if name in given:

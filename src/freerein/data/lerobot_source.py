@@ -63,8 +63,7 @@ class LeRobotSource(Source):
         self._tag_texts = TimestepTexts(folder, self._dataset, tags_from) if tags_from else None
         self._label_texts = TimestepTexts(folder, self._dataset, labels_from) if labels_from else None
         self._damaged, self._changed = list[str](), list[str]()
-        names = [str(each) for each in self._dataset.episodes]
-        self._given = read_tags(tags, names, on_note=self._changed.append) if tags is not None else {}
+        self._tags = tags
 
     @cached_property
     def spec(self) -> DatasetSpec:
@@ -139,8 +138,12 @@ class LeRobotSource(Source):
         if self._tag_texts is not None:
             texts = self._tag_texts
             stored = tuple(self._or_damaged(texts, index) for index in range(len(self)))
-        episodes = map(str, self._dataset.episodes)
-        return [self._given.get(name, tuple(sorted(set(each)))) for name, each in zip(episodes, stored, strict=True)]
+        found = [tuple(sorted(set(each))) for each in stored]
+        if self._tags is None:
+            return found
+        names, known = list(map(str, self._dataset.episodes)), {skill for each in found for skill in each}
+        given = read_tags(self._tags, names, known=known, on_note=self._changed.append)
+        return [given.get(name, each) for name, each in zip(names, found, strict=True)]
 
     def _or_damaged(self, texts: TimestepTexts, index: int) -> tuple[str, ...]:
         try:
