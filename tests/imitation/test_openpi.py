@@ -22,7 +22,7 @@ from freerein.types.common import ModelRef
 from freerein_imitation.core import PolicyRunner
 from freerein_imitation.openpi.messages import pack, read, unpack
 from freerein_imitation.openpi.observations import parse_observation
-from freerein_imitation.openpi.service import OpenpiConnection, OpenpiQuery
+from freerein_imitation.openpi.service import OpenpiConnection, OpenpiQuery, parse_query
 
 GOAL = 6
 Ask = Callable[..., Any]
@@ -218,6 +218,23 @@ def test_long_and_many_keys_are_not_repeated(policies: Any) -> None:
     assert "s3cr3t" not in f"{error.detail} {error.hint}"
     assert "a name of 120 characters, a name of 7 characters, `k0`" in error.detail
     assert error.detail.endswith("3 more.")
+
+
+@pytest.mark.parametrize(
+    ("key", "got"),
+    [
+        ("goalText", "`goalText`; did you mean `goal.text`?"),
+        ("recipe", "`recipe`; did you mean `goal.recipe`?"),
+        ("model", "`model`."),
+        ("x" * 65, "a name of 65 characters."),
+    ],
+)
+def test_a_parameter_that_there_is_not_is_named(key: str, got: str) -> None:
+    with pytest.raises(InvalidInput) as error:
+        parse_query([("model.name", "skills"), (key, "s3cr3t")])
+    assert error.value.detail.endswith(f"got {got}")
+    with pytest.raises(InvalidInput, match=r"got one twice\."):
+        parse_query([("goal.text", "a"), ("goal.text", "b")])
 
 
 async def test_a_prompt_beside_another_form_of_goal_is_ignored_and_the_reply_says_so(policies: Any) -> None:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from freerein import wire
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import Goal, ModelRef
+from freerein.unknown_names import described
 from freerein_imitation.core.act import Policies
 from freerein_imitation.core.act_context import ActContext, spec_response
 from freerein_imitation.core.inputs import elapsed_steps
@@ -193,9 +194,11 @@ def parse_query(items: Sequence[tuple[str, str]]) -> OpenpiQuery:
     single = {key: value for key, value in items if key != _RECIPE}
     known = (*_TEXTS, *_NUMBERS)
     recipe = tuple(value for key, value in items if key == _RECIPE)
-    if len(single) + len(recipe) != len(items) or not set(single) <= set(known):
+    others = [key for key in single if key not in known]
+    if others or len(single) + len(recipe) != len(items):
+        got = described(others[0], (*known, _RECIPE)) if others else "one twice."
         raise InvalidInput(
-            f"The URL may have {', '.join(known)}, each once, and {_RECIPE}; got others, or one twice.",
+            f"The URL may have {', '.join(known)}, each once, and {_RECIPE}; got {got}",
             hint="Write it like ws://localhost:8102/?model.name=skills&goal.recipe=move-red",
         )
     name, version, text = (single.get(key, "") for key in _TEXTS)
