@@ -36,6 +36,7 @@ from freerein.field_bounds import bounds_of, check_bounds, check_json_bytes
 T = TypeVar("T")
 
 _MAX_DEPTH = 30  # levels of a `Struct`: protobuf parses 100 messages deep, which is 33 levels
+_BASE64_BYTES = 3 * 2**20  # at once: the interpreter runs no other thread meanwhile
 _EXACT = 2.0**53  # integers below it are exact as doubles
 # dtypes of arrays that are repeated numbers in the message
 _ARRAY_DTYPES = {
@@ -118,7 +119,7 @@ def unpack(source: object, cls: type[T], *, path: str = "") -> T:
 def tensor_json(array: "np.ndarray[Any, Any]") -> dict[str, Any]:
     """Returns an array as the JSON values of a `Tensor`."""
     datatype, shape, raw = tensors.encode(array)
-    return {"datatype": datatype, "shape": list(shape), "raw": base64.b64encode(raw).decode("ascii")}
+    return {"datatype": datatype, "shape": list(shape), "raw": _base64(raw)}
 
 
 def to_json(value: Any, *, write_tensor: Callable[["np.ndarray[Any, Any]"], Any] = tensor_json) -> dict[str, Any]:
@@ -350,10 +351,15 @@ def _json(value: Any, descriptor: FieldDescriptor, write_tensor: _Write) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist() if descriptor.message_type is None else write_tensor(value)
     if isinstance(value, bytes):
-        return base64.b64encode(value).decode("ascii")
+        return _base64(value)
     if isinstance(value, tuple):
         return [_json(item, descriptor, write_tensor) for item in value]
     if isinstance(value, dict):
         entry = _map_value(descriptor)
         return {key: _json(item, entry, write_tensor) if entry else item for key, item in value.items()}
     return to_json(value, write_tensor=write_tensor) if descriptor.message_type is not None else value
+
+
+def _base64(raw: bytes) -> str:
+    parts = (raw[at : at + _BASE64_BYTES] for at in range(0, len(raw), _BASE64_BYTES))
+    return "".join([base64.b64encode(part).decode("ascii") for part in parts])

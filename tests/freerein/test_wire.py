@@ -1,5 +1,6 @@
 """Dataclasses, messages and JSON say the same thing."""
 
+import base64
 import inspect
 from dataclasses import fields, is_dataclass, make_dataclass, replace
 from types import SimpleNamespace
@@ -91,6 +92,13 @@ def test_a_number_of_a_struct_that_no_double_holds_is_refused(value: float) -> N
 def test_json_holds_lower_case_enums_and_base64_tensors() -> None:
     assert wire.to_json(FIT)["state"] == "running"
     assert wire.to_json(STEP)["reward"] == {"datatype": "FP32", "shape": [2], "raw": "AAAAAAAAAAA="}
+
+
+@pytest.mark.parametrize("size", [0, 1, wire._BASE64_BYTES, 2 * wire._BASE64_BYTES + 1])
+def test_bytes_of_any_length_are_one_text_in_base64(size: int) -> None:
+    raw = bytes(range(251)) * (size // 251 + 1)
+    written = wire.to_json(sim.SnapshotResponse(raw[:size]))["snapshot"]
+    assert base64.b64decode(written, validate=True) == raw[:size]
 
 
 def test_an_unset_optional_stays_none_and_an_unset_default_stays_the_default() -> None:

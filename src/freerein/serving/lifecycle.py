@@ -98,16 +98,7 @@ def run(name: str, settings_class: type[S], build: Build[S]) -> NoReturn:
 async def _serve(settings: S, build: Build[S]) -> int:
     threads = _DecodeThreads(max(2, os.cpu_count() or 1), "decode")  # more would starve the event loop
     asyncio.get_running_loop().set_default_executor(threads)
-    limits = Limits(
-        receipt_s=settings.receipt_s,
-        write_s=settings.write_s,
-        idle_s=settings.idle_s,
-        http_keep_alive_s=settings.keep_alive_s,
-        ping_s=settings.ping_s,
-        drain_delay_s=settings.drain_delay_s,
-        unary_s=settings.unary_s,
-        queue=settings.queue,
-    )
+    limits = _limits(settings)
     metrics, memory, token = Metrics(), Memory(limits), settings.token_text
     built: list[Service] = []
     health = Health(lambda: built[0].not_ready() if built else "It is starting.")
@@ -164,6 +155,19 @@ async def _serve(settings: S, build: Build[S]) -> int:
     await service.close()
     _log.info("stopped")
     return code
+
+
+def _limits(settings: ServiceSettings) -> Limits:
+    return Limits(
+        receipt_s=settings.receipt_s,
+        write_s=settings.write_s,
+        idle_s=settings.idle_s,
+        http_keep_alive_s=settings.keep_alive_s,
+        ping_s=settings.ping_s,
+        drain_delay_s=settings.drain_delay_s,
+        unary_s=settings.unary_s,
+        queue=settings.queue,
+    )
 
 
 async def _warm_up(service: Service, http_server: HttpServer, health: Health) -> None:
