@@ -391,6 +391,7 @@ def test_loose_images_keep_the_proportions_of_the_first(
     source = ImageSource(tmp_path)
     assert source.spec.cameras == {"camera": (*scaled, 3)}
     assert {each.frames["camera"].shape[1:] for each in source} == {(*scaled, 3)}
+    assert [f"were stretched to {scaled[0]} x {scaled[1]}" in note for note in source.notes] == [True]
 
 
 def test_two_images_are_held_apart_and_one_is_refused(tmp_path: Path) -> None:

@@ -180,6 +180,7 @@ class ImageSource(Source):
         self._runs = [files[at : at + run] for files in by_folder.values() for at in range(0, len(files), run)]
         if len(self._runs) == 1:
             self._runs = [self._runs[0][:1], self._runs[0][1:]]
+        self._stretched: dict[str, tuple[int, ...]] = {}
         shape = (*(size or _scaled_size(self._runs[0][0])), 3)
         self._spec = DatasetSpec(1, {CAMERA: shape}, ActionSpec(0, 0, ()), robot_type="")
 
@@ -194,8 +195,19 @@ class ImageSource(Source):
     def __iter__(self) -> Iterator[Trajectory]:
         shape = self._spec.cameras[CAMERA]
         for files in self._runs:
-            frames = joined((_in_shape(_decoded(file), shape[:2], shape, file) for file in files), shape)
+            frames = joined((self._scaled(file, shape) for file in files), shape)
             yield Trajectory({CAMERA: frames}, np.empty((len(files), 0), np.float32))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Which images were stretched."""
+        return stretch_notes(self._stretched, self._spec.cameras[CAMERA][:2])
+
+    def _scaled(self, file: Path, shape: tuple[int, int, int]) -> Pixels:
+        pixels = _decoded(file)
+        if are_stretched(pixels.shape, shape[:2]):
+            self._stretched[f"{file.parent.name}/{file.name}"] = pixels.shape[:2]
+        return _in_shape(pixels, shape[:2], shape, file)
 
 
 def _actions(recording: Recording) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:

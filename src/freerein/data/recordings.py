@@ -174,7 +174,8 @@ def _check_all_read(unread: Sequence[Path]) -> None:
     raise InvalidInput(
         f"{named}{others} must be a folder of images, an image (PNG, JPEG or WebP) or a video (mp4 or mov); "
         f"{'it is' if len(unread) == 1 else 'they are'} not.",
-        hint="Convert it, or move it out of the folder." if len(unread) == 1 else "Convert them, or move them away.",
+        hint=f"Convert {'it' if len(unread) == 1 else 'them'}, a video by ffmpeg -i IN -c:v libx264 OUT.mp4, or move "
+        f"{'it' if len(unread) == 1 else 'them'} out of the folder.",
     )
 
 

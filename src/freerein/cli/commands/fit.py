@@ -101,7 +101,9 @@ def reward(
             hint="Write freerein fit reward --images DIR --phrases 'a red ball' --phrases 'a blue ball'.",
         )
     if images:
-        import_with_progress(ImageSource(images), name, is_shown=not as_json)
+        source = ImageSource(images)
+        import_with_progress(source, name, is_shown=not as_json)
+        typer.echo("".join(f"{note}\n" for note in source.notes if not as_json), nl=False)
     named = [phrase.strip() for given in phrases or () for phrase in given.split(",")]
     config = configuration(settings) | ({"phrases": named} if named else {})
     request = StartFitRequest(check_no_path(name), model_name, config)
