@@ -139,3 +139,16 @@ def test_an_episode_without_rows_anywhere_is_named(root: Path) -> None:
     write_data(root, [0, 2])
     with pytest.raises(InvalidInput, match="timesteps that `meta/` names; the data has 0"):
         _ = Dataset(root)[1]
+
+
+def test_columns_of_episodes_that_are_not_needed_are_not_read(root: Path) -> None:
+    statistics = np.random.default_rng(0).normal(size=3)
+    pq.write_table(pq.read_table(root / EPISODES).append_column("stats/action/mean", [statistics]), root / EPISODES)
+    page = pq.read_metadata(root / EPISODES).row_group(0).column(4)
+    data = bytearray((root / EPISODES).read_bytes())
+    begin = page.dictionary_page_offset or page.data_page_offset
+    data[begin : begin + page.total_compressed_size] = b"\xff" * page.total_compressed_size
+    (root / EPISODES).write_bytes(data)
+    with pytest.raises(OSError, match="thrift"):
+        pq.read_table(root / EPISODES)
+    assert found(Dataset(root)) == expected(0, 1, 2)
