@@ -43,6 +43,14 @@ _GOES_WITH = {
     "save": (_DATASET,),
 }
 
+_Fps = Annotated[
+    float, typer.Option(min=0, max=240, help="Timesteps per second of a video; those of the model by default.")
+]
+_Actions = Annotated[
+    Path | None,
+    typer.Option(help="CSV file with the actions of a video, a row per timestep, for models that see them."),
+]
+
 Film = Sequence[npt.NDArray[np.uint8]]
 
 app = typer.Typer(add_completion=False)
@@ -68,13 +76,8 @@ def segment(
         float, typer.Option(min=0, max=1, help="Reject timesteps with a smaller confidence; before `--min-kept`.")
     ] = 0.0,
     resize: Annotated[bool, typer.Option("--resize", help="Resize a video's frames to the model's size.")] = False,
-    fps: Annotated[
-        float, typer.Option(min=0, max=240, help="Timesteps per second of a video; those of the model by default.")
-    ] = 0.0,
-    actions: Annotated[
-        Path | None,
-        typer.Option(help="CSV file with the actions of a video, a row per timestep, for models that see them."),
-    ] = None,
+    fps: _Fps = 0.0,
+    actions: _Actions = None,
     png: Annotated[Path | None, typer.Option(help="Draw the timeline into this PNG file.")] = None,
     vtt: Annotated[Path | None, typer.Option(help="Write the segments to this WebVTT file, as subtitles.")] = None,
     save: Annotated[bool, typer.Option("--save", help="Label the whole dataset and store the labels.")] = False,
