@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from freerein.errors import FailedPrecondition, InvalidInput, OutOfStorage
 from freerein.learning import checkpoints, tensor_files
@@ -274,6 +275,9 @@ def test_a_training_stopped_anywhere_ends_with_the_same_bits_and_one_row_per_ite
             train(tmp_path, interrupt=interrupt)
     assert digest(train(tmp_path)) == expected
     assert [row["step"] for row in rows(tmp_path)] == [1, 2, 3, 4]
+    shown = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    for curve in ("rollout/episode_return", "train/value_loss", "time/steps_per_s"):
+        assert [each.step for each in shown.Scalars(curve)] == [64, 128, 192, 256]
 
 
 @pytest.mark.fault("O8")

@@ -2,6 +2,7 @@
 
     <folder>/checkpoints/step-...   the full training state, every `checkpoint_every` steps
              metrics.jsonl          one row per `log_every` steps and per evaluation
+             tensorboard/           the same, for TensorBoard
 
 The loop keeps the weights with the lowest validation loss, from `selected_after` on, and returns them. The result
 depends on the learner, its configuration (threads included), torch's version and the device; all are stored in each
@@ -24,6 +25,7 @@ from torch import Tensor
 
 from freerein.errors import FailedPrecondition, OutOfStorage
 from freerein.jobs.child import stop_on_sigterm
+from freerein.jobs.event_files import EventFile
 from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import checkpoints
 from freerein.learning.checkpoints import JSON
@@ -148,8 +150,9 @@ def fit(
     checkpointer = _Checkpointer(folder / "checkpoints", _identity(learner, progress.state), on_event)
     progress = checkpointer.resume(progress, defaults=_defaults(config))
     rows = MetricsWriter(folder / "metrics.jsonl", last_step=progress.state.step)
+    events = EventFile(folder / "tensorboard", after=progress.state.step)
     while progress.state.step < config.steps and not stop():
-        progress = _advance(learner, progress, rows, on_event)
+        progress = _advance(learner, progress, rows, events, on_event)
         if progress.state.step % config.checkpoint_every == 0:
             checkpointer.save(progress, rows)
     checkpointer.save(progress, rows)
@@ -182,7 +185,11 @@ def _defaults(config: FitConfig) -> dict[str, JSON]:
 
 
 def _advance(
-    learner: Learner[N], progress: FitLoopState[N], rows: MetricsWriter, on_event: Callable[[FitEvent], None]
+    learner: Learner[N],
+    progress: FitLoopState[N],
+    rows: MetricsWriter,
+    events: EventFile,
+    on_event: Callable[[FitEvent], None],
 ) -> FitLoopState[N]:
     """Makes one optimiser step; logs and evaluates when due."""
     config = learner.config
@@ -203,6 +210,7 @@ def _advance(
         on_event(FitEvent("evaluated", state.step, f"validation_loss {row['validation_loss']:.4f}"))
     with suppress(OSError):  # a full disk costs the row, not the fit
         rows.append(state.step, row)
+    events.append(state.step, row)
     return replace(progress, metric_sums={}, metric_count=0)
 
 

@@ -109,11 +109,11 @@ class RunContext:
         """Returns a blocking `FitClient` of a service."""
         return self._connect(FitClient, address(service, self.environ))
 
-    def metrics_logger(self, last_step: int) -> MetricsLogger:
-        """Returns the log of the run's metrics, after those up to `last_step` of this step."""
-        logger = MetricsLogger(self.run_folder, last_step=last_step, first_step=self.first_step, prefix=self.prefix)
-        self.closing.callback(logger.close)
-        return logger
+    def metrics_logger(self, last_step: int, *, group: str = "train") -> MetricsLogger:
+        """Returns the log of the run's metrics, after those up to `last_step` of this step; see `MetricsLogger`."""
+        return MetricsLogger(
+            self.run_folder, last_step=last_step, first_step=self.first_step, prefix=self.prefix, group=group
+        )
 
     def record_model(self, model: ModelRef) -> None:
         """Records, durably, the model that this run has made for a service."""

@@ -83,7 +83,7 @@ def run(context: RunContext, config: LabelConfig) -> None:
     camera = choose_camera(dataset, config.camera, of_model=model.camera, field="config.camera")
     with LabelsWriter(root, name=context.key) as writer:
         first = saved["labelled"] if writer.goes_on and saved else 0
-        metrics = context.metrics_logger(first)
+        metrics = context.metrics_logger(first, group="label")
         for index in range(first, len(dataset)):
             request = _request(config, model, dataset[index], camera)
             answer: SegmentResponse = retry.call(partial(segmentation.segment, request))

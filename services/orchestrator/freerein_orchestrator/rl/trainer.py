@@ -30,9 +30,6 @@ class MetricsLog(Protocol):
     def append(self, step: int, metrics: Mapping[str, float]) -> None:
         """Writes a row."""
 
-    def close(self) -> None:
-        """Closes the files."""
-
 
 class Recorder(Protocol):
     """Keeps rollouts as trajectories; the training ends once there are enough."""
@@ -108,7 +105,8 @@ class Trainer:
         saver = _Saver(self.folder / "checkpoints", self.log_line)
         if state.iteration == 0:
             saver.save(state)
-        with closing(self.collector(state)) as collector, closing(self.metrics_log(self._step(state))) as log:
+        log = self.metrics_log(self._step(state))
+        with closing(self.collector(state)) as collector:
             while not self._is_done(state):
                 began_s, recoveries = time.monotonic(), collector.recoveries
                 state, rollout = self._iterate(state, collector)

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.image_statistics import image_statistics
-from freerein.learning.in_distribution import InDistribution
+from freerein.learning.in_distribution import CALIBRATED_FROM, InDistribution
 from freerein_orchestrator.rl.vec_env import VecEnv, env_actions, executed_actions, observation_tensor
 
 
@@ -44,5 +44,6 @@ def fit_in_distribution(frames: Tensor) -> InDistribution:
     statistics = image_statistics({"": frames})
     known, held_out = statistics.tensor_split(2)
     score = InDistribution(statistics.shape[1])
-    score.fit(known, held_out, torch.ones(len(held_out)))
+    confidence = torch.ones(len(held_out))  # none, so that there is none to calibrate on many episodes
+    score.fit(known, held_out, confidence, trajectories=CALIBRATED_FROM)
     return score

@@ -39,7 +39,7 @@ class TrialRecord:
         self._folder = context.folder / "checkpoints"
         self._artifacts = context.artifacts
         self._episodes = episodes
-        self._metrics = context.metrics_logger(0)
+        self._metrics = context.metrics_logger(0, group="eval")
         self.subject: dict[str, Any] = {}
         self._values: list[dict[str, Any]] = []
         self._kept: dict[str, int] = {}  # first trial with frames of a name, by name
