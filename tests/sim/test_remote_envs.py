@@ -123,7 +123,7 @@ def test_one_environment_is_the_first_of_a_vector_of_one(address: str) -> None:
 def test_without_privilege_there_is_no_truth_and_no_reward(address: str) -> None:
     with SimEnv("grid", address, token=TOKEN) as env:
         _, info = env.reset(seed=1)
-        assert info == {}
+        assert info == {"diverged": False}
         _, reward, _, _, info = env.step(0)
         assert (reward, info) == (0.0, {"diverged": False})
 
