@@ -1,6 +1,6 @@
 """`freerein dataset`: imports, inspects, checks and annotates datasets; finds the ones that other commands name."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
@@ -37,6 +37,7 @@ _LARGEST_SIDE = 1024
 _REPEATABLE = "repeatable; of layout lerobot."
 
 _Texts = TextKind | None
+_Features = list[str] | None
 _Names = list[str] | None
 _Name = Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")]
 
@@ -77,13 +78,9 @@ def import_dataset(
         Path | None,
         typer.Option(metavar="TAGS.CSV", help="Skills by name of the trajectory, or by LeRobot's `episode_index`."),
     ] = None,
-    action: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help=f"Feature of the action; {_REPEATABLE}")
-    ] = None,
-    state: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help=f"Feature of the state; {_REPEATABLE}")
-    ] = None,
-    cameras: Annotated[list[str] | None, typer.Option(metavar="NAME", help=f"Camera to read; {_REPEATABLE}")] = None,
+    action: Annotated[_Features, typer.Option(metavar="NAME", help=f"Feature of the action; {_REPEATABLE}")] = None,
+    state: Annotated[_Features, typer.Option(metavar="NAME", help=f"Feature of the state; {_REPEATABLE}")] = None,
+    cameras: Annotated[_Features, typer.Option(metavar="NAME", help=f"Camera to read; {_REPEATABLE}")] = None,
     tags_from: Annotated[_Texts, typer.Option(help="Take LeRobot's tasks or subtasks as tags.")] = None,
     labels_from: Annotated[_Texts, typer.Option(help="Take those of each timestep as true labels.")] = None,
     skip_damaged: Annotated[
@@ -98,28 +95,37 @@ def import_dataset(
     """
     kind = layout if layout != "auto" else "lerobot" if (path / "meta").is_dir() else "folder"
     options = LeRobotOptions(_names(action), _names(state), _names(cameras), skip_damaged)
-    if kind != "lerobot" and (options != LeRobotOptions() or tags_from or labels_from):
-        raise InvalidInput(
-            f"--action, --state, --cameras, --tags-from, --labels-from and --skip-damaged must be given with layout "
-            f"lerobot; the layout is {kind}.",
-            field="layout",
-            hint="Leave them out, or name the folder that holds `meta`.",
-        )
-    table = read_regular(tags, name=tags.name) if tags else None
-    source: Source
-    if kind == "folder":
-        source = FolderSource(path, size=_size(size), fps=fps, tags=table)
-    elif kind == "mime":
-        source = MimeSource(path, size=_size(size))
-    else:
-        source = LeRobotSource(
-            path, size=_size(size), options=options, tags=table, tags_from=tags_from, labels_from=labels_from
-        )
+    texts: dict[str, TextKind | None] = {"tags_from": tags_from, "labels_from": labels_from}
+    source = _source(kind, path, size=_size(size), fps=fps, tags=tags, options=options, texts=texts)
     said = source.notes  # before video is decoded, which may take an hour
     if not as_json:
         typer.echo("".join(f"{note}\n" for note in said), nl=False)
     warnings = import_with_progress(source, name, is_shown=not as_json)
     _show_import(name, source, warnings, said=said, as_json=as_json)
+
+
+def _source(
+    kind: str,
+    path: Path,
+    *,
+    size: tuple[int, int] | None,
+    fps: int,
+    tags: Path | None,
+    options: LeRobotOptions,
+    texts: Mapping[str, TextKind | None],
+) -> Source:
+    """Returns the trajectories of a folder of a layout; raises InvalidInput where an option is of another one."""
+    table = read_regular(tags, name=tags.name) if tags else None
+    if kind == "lerobot":
+        return LeRobotSource(path, size=size, options=options, tags=table, **texts)
+    if options != LeRobotOptions() or any(texts.values()) or (kind == "mime" and tags):
+        raise InvalidInput(
+            "--action, --state, --cameras, --tags-from, --labels-from and --skip-damaged must be given with layout "
+            f"lerobot, and --tags not with mime; the layout is {kind}.",
+            field="layout",
+            hint="Leave them out, or name the folder that holds `meta`.",
+        )
+    return FolderSource(path, size=size, fps=fps, tags=table) if kind == "folder" else MimeSource(path, size=size)
 
 
 def import_with_progress(source: Source, name: str, *, is_shown: bool) -> tuple[str, ...]:
