@@ -254,6 +254,7 @@ def test_names_of_one_series_may_hold_texts_and_several_numbers(tmp_path: Path, 
         (lambda root: draw(root / "session" / "take", 1, 2), "`session/take` must be named like a camera"),
         (lambda root: [draw(root / "a" / f"take-{n}", 1) for n in (1, 2)], "`a/take-1` must be named like a camera"),
         (lambda root: [draw(root / s / "007", 1) for s in "ab"], "`a/007` must be named like a camera"),
+        (lambda root: [draw(root / "a" / f"left-turn-{n}", 1) for n in (1, 2)], "`a/left-turn-1` must be named like"),
         (lambda root: [draw(root / s / t, *range(len(t))) for s in "ab" for t in ("pour", "reach")], "like a camera"),
         (lambda root: draw(root / "a" / "top", 1) or (root / "a" / "tags.csv").touch(), "it holds `tags.csv`"),
         (lambda root: draw(root / "a" / "top", 1) or (root / "a/top/tags.csv").touch(), "it holds `top/tags.csv`"),
@@ -278,7 +279,7 @@ def test_a_video_in_the_folder_of_a_trajectory_must_be_named_like_a_camera_too(
 
 
 @pytest.mark.parametrize(
-    "cameras", [("top", "side"), ("cam0", "cam1"), ("webcam-2",), ("LeftWrist", "rgb_1"), ("pics",)]
+    "cameras", [("top", "side"), ("cam0", "cam1"), ("webcam-2",), ("LeftWrist", "wrist_1", "rgb_1"), ("pics",)]
 )
 def test_cameras_are_known_by_their_names(tmp_path: Path, cameras: tuple[str, ...]) -> None:
     for camera in cameras:

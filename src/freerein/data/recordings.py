@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 
+from freerein.data.camera_names import is_named_like_a_camera
 from freerein.data.image_names import in_order
 from freerein.errors import InvalidInput, NotFound
 
@@ -46,7 +47,6 @@ _SYSTEM = frozenset(
 )
 """Names, in lower case, of files and folders that operating systems and storage devices make by themselves."""
 
-_CAMERA_WORD = re.compile(
     r"""
     \w*cams? | \w*cameras? | \w*views? | eye | lens | sensor | kinect | realsense | zed | gopro | phone | iphone
     | images? | imgs? | pictures? | pics? | photos? | frames? | pixels | video | observation
@@ -217,17 +217,12 @@ def _check_look_like_cameras(found: Sequence[Recording]) -> None:
     is_alike = len(found) > 1 and all(len(each) <= 1 for each in lengths)
     for recording in found:
         for name in recording.cameras:
-            if not _is_named_like_a_camera(name) and (not is_alike or any(map(str.isdecimal, name))):
+            if not is_named_like_a_camera(name) and (not is_alike or any(map(str.isdecimal, name))):
                 raise InvalidInput(
                     f"`{recording.name}/{name}` must be named like a camera, such as `{recording.name}/top`: it may be "
                     "a trajectory itself.",
                     hint=f"If it is one, import the folder `{recording.name}`. If it is a camera, rename it: cam-1.",
                 )
-
-
-def _is_named_like_a_camera(name: str) -> bool:
-    words = (word.lower() for word in _WORD.findall(name))
-    return any(map(_CAMERA_WORD.fullmatch, words))
 
 
 def _check_different(names: Sequence[str], folder: Path, noun: str) -> None:
