@@ -47,18 +47,6 @@ _SYSTEM = frozenset(
 )
 """Names, in lower case, of files and folders that operating systems and storage devices make by themselves."""
 
-    r"""
-    \w*cams? | \w*cameras? | \w*views? | eye | lens | sensor | kinect | realsense | zed | gopro | phone | iphone
-    | images? | imgs? | pictures? | pics? | photos? | frames? | pixels | video | observation
-    | colou?r | rgb | gr[ae]y | depth | ir | infrared | mono | stereo | wide | close
-    | left | right | top | bottom | upper | lower | high | low | front | back | rear | side | cent(?:er|re|ral)
-    | overhead | bird | birdseye | ego | egocentric | ext | external | exo | exterior | first | third
-    | main | primary | secondary | global | scene | static | table | workspace | robot | wrist | (?:in)?hand | gripper
-    | head | base
-    """,
-    re.VERBOSE,
-)
-_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
 _MOST_NAMED = 3
 
 Files = Path | tuple[Path, ...]
