@@ -14,7 +14,7 @@ from tests.lerobot_dataset import CAMERA, DATA, EPISODES, INFO, STEPS, VECTOR, p
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
-from freerein.data import Dataset, LeRobotOptions, LeRobotSource, import_trajectories, lerobot_features
+from freerein.data import Dataset, LeRobotOptions, LeRobotSource, check, import_trajectories, lerobot_features
 from freerein.errors import InvalidInput
 
 EIGHT = {"dtype": "float32", "shape": [8], "names": None}
@@ -111,6 +111,23 @@ def test_several_columns_are_one_action_or_state_in_the_order_named(root: Path, 
     assert (ours.spec.action.size, ours.spec.action.names) == (10, ("state",) * 8 + ("action",) * 2)
     np.testing.assert_array_equal(ours[1].actions[:, 8:], [[1, -step] for step in range(STEPS)])
     np.testing.assert_array_equal(ours.robot_state(1)[:, :2], [[1, -step] for step in range(STEPS)])
+
+
+@pytest.mark.parametrize("kind", [pa.int64(), pa.bool_(), pa.float64()], ids=str)
+def test_a_column_of_one_number_may_be_part_of_an_action(root: Path, data_dir: Path, kind: pa.DataType) -> None:
+    closed = [step % 2 for step in range(3 * STEPS)]
+    dtype = {pa.int64(): "int64", pa.bool_(): "bool", pa.float64(): "float64"}[kind]
+    add_column(root, "action.gripper", pa.array(closed).cast(kind), {"dtype": dtype, "shape": [1], "names": ["closed"]})
+    imported(root, "--action", "action,action.gripper")
+    ours = Dataset(data_dir / "datasets/ours")
+    assert ours.spec.action.names == ("action", "action", "closed")
+    assert np.concatenate([each.actions[:, 2] for each in ours]).tolist() == closed
+
+
+def test_check_says_how_an_action_of_another_name_is_taken(root: Path) -> None:
+    add_column(root, "actions", numbers(8), EIGHT, others={"features": {"observation.images.top": CAMERA}})
+    hints = [each.hint for each in check(root) if each.where == "actions"]
+    assert hints == ["Import it: take it as the action with --action actions."]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from freerein.data import Dataset, LeRobotSource, check, import_trajectories, verify
+from freerein.data import Dataset, LeRobotOptions, LeRobotSource, check, import_trajectories, verify
 from freerein.errors import AlreadyExists, InvalidInput, ServiceError
 
 FPS, HEIGHT, WIDTH = 10, 48, 64
@@ -246,3 +246,23 @@ def test_no_file_outside_of_the_dataset_is_named(root: Path, changes: dict[str, 
     write_info(root, **changes)
     with pytest.raises(InvalidInput):
         Dataset(root)
+
+
+@pytest.mark.parametrize("kept", [[0, 2], [1, 2], [1]])
+def test_frames_are_those_of_the_episode_after_others_were_deleted(root: Path, tmp_path: Path, kept: list[int]) -> None:
+    pq.write_table(pq.read_table(root / EPISODES).take(kept), root / EPISODES)
+    import_trajectories(LeRobotSource(root), tmp_path / "ours")
+    for dataset in (Dataset(root), Dataset(tmp_path / "ours")):
+        assert [list(map(square_at, each.frames["top"])) for each in dataset] == [SQUARES[each] for each in kept]
+    assert verify(root) == []
+
+
+def test_what_is_damaged_is_skipped_and_the_rest_of_its_video_is_read(root: Path, tmp_path: Path) -> None:
+    write_episodes(root, **{f"videos/{KEY}/to_timestamp": [0.9, 1.2 + 1e-7, 0.4]})
+    encode(root / VIDEO.format("001"), moving_square(1)[:2])
+    source = LeRobotSource(root, options=LeRobotOptions(skip_damaged=True))
+    import_trajectories(source, tmp_path / "ours")
+    ours = Dataset(tmp_path / "ours")
+    assert [list(map(square_at, each.frames["top"])) for each in ours] == [SQUARES[1]]
+    assert any("`episode 0` is left out" in each for each in source.notes)
+    assert "1 of 2 trajectories are damaged and left out:" in source.notes

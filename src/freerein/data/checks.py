@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -127,9 +127,14 @@ def check(root: Path) -> list[Problem]:
     ]
     first_frames = [] if trajectories else _first_frame_problems(dataset)
     actions = [Problem("actions", each, _COUNTER_HINT, "warning") for each in counters.sentences()]
-    actions += [] if dataset.spec.has_actions else [_NO_ACTIONS]
+    actions += [] if dataset.spec.has_actions else [_no_actions(dataset)]
     sizes = [each for size in dataset.spec.cameras.values() for each in batch_problems(dataset.lengths, size)]
     return [*tag_problems(dataset.spec.skills, dataset.skills), *actions, *sizes[:1], *first_frames, *trajectories]
+
+
+def _no_actions(dataset: Dataset) -> Problem:
+    named = next((f"Import it: {why}." for why in dataset.left_out.values() if "--action" in why), "")
+    return replace(_NO_ACTIONS, hint=named) if named else _NO_ACTIONS
 
 
 def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:

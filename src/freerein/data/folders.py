@@ -12,7 +12,7 @@ import numpy.typing as npt
 from freerein import images
 from freerein.data.action_table import read_actions
 from freerein.data.annotations import read_tags
-from freerein.data.importing import Source
+from freerein.data.importing import Recorded, Source
 from freerein.data.layout import DatasetSpec
 from freerein.data.proportions import are_stretched, stretch_notes
 from freerein.data.recordings import (
@@ -109,6 +109,10 @@ class FolderSource(Source):
 
     def __len__(self) -> int:
         return len(self._recordings)
+
+    def recorded(self) -> Iterator[Recorded]:
+        """Yields each by its name."""
+        return (Recorded(each, name=f"`{name}`") for name, each in zip(self.names, self, strict=True))
 
     def __iter__(self) -> Iterator[Trajectory]:
         for recording, (_, values) in zip(self._recordings, self._actions, strict=True):

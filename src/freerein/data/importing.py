@@ -25,15 +25,15 @@ class Recorded:
 
     Attributes:
         trajectory: The trajectory.
+        name: Its name in errors.
         robot_state: The robot's own state, float32 (T, S); None where the tool does not record it.
         labels: True labels, int64 (T,), indices into the spec's skills, or -1 where unknown; None where there are none.
-        name: Its name in errors.
     """
 
     trajectory: Trajectory
+    name: str
     robot_state: State | None = None
     labels: npt.NDArray[np.int64] | None = None
-    name: str = ""
 
 
 class Source(Protocol):
@@ -51,7 +51,7 @@ class Source(Protocol):
 
     def recorded(self) -> Iterator[Recorded]:
         """Yields each with what is stored beside it; raises as `__iter__`."""
-        return map(Recorded, self)
+        return (Recorded(each, name=f"Trajectory {index}") for index, each in enumerate(self))
 
     def skips(self, error: InvalidInput) -> bool:
         """Returns whether to go on without a trajectory that cannot be written."""
@@ -115,8 +115,7 @@ def _append(writer: Writer, root: Path, source: Source, recorded: Recorded) -> N
         if recorded.labels is not None:
             truth.save(root, index, recorded.labels)
     except InvalidInput as error:
-        detail = f"{recorded.name}: {error.detail}" if recorded.name else error.detail
-        named = InvalidInput(detail, field=error.field, hint=error.hint)
+        named = InvalidInput(f"{recorded.name}: {error.detail}", field=error.field, hint=error.hint)
         if not source.skips(named):
             raise named from None
 

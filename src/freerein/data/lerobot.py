@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from freerein.data import json_files, layout, lerobot_features, lerobot_tables
 from freerein.data.layout import DatasetSpec
-from freerein.data.lerobot_features import DEFAULTS, LeRobotOptions, Vector, shown
+from freerein.data.lerobot_features import DEFAULTS, Features, LeRobotOptions, Vector, shown
 from freerein.data.trajectory_file import corrupt_as_invalid
 from freerein.data.videos import VideoSpan
 from freerein.errors import InvalidInput, NotFound
@@ -66,6 +66,9 @@ def read(root: Path, options: LeRobotOptions = DEFAULTS) -> LeRobotMeta:
     episodes, damaged = lerobot_tables.read_episodes(root, videos, skip_damaged=options.skip_damaged)
     unlocated = [key for key in videos if not lerobot_tables.has_video(episodes, key)]
     features = lerobot_features.choose(described, options, unlocated=unlocated)
+    if options.skip_damaged:
+        episodes, contradicting = _consistent(root, episodes, features, fps=_fps(info))
+        damaged |= contradicting
     tasks = lerobot_tables.read_texts(root, layout.TASKS_FILE, "task")
     spec = DatasetSpec(
         fps=_fps(info),
@@ -93,6 +96,15 @@ def read(root: Path, options: LeRobotOptions = DEFAULTS) -> LeRobotMeta:
         terminated_key=features.terminated,
         left_out={**features.left_out, **damaged},
     )
+
+
+def _consistent(root: Path, episodes: pa.Table, features: Features, *, fps: int) -> tuple[pa.Table, dict[str, str]]:
+    """Returns the episodes that last as long in their videos as in timesteps, and why the others are left out."""
+    keys = [camera.key for camera in features.cameras.values() if camera.is_video]
+    wrong = {number for key in keys for number in lerobot_tables.contradicting(root, episodes, key, fps=fps)}
+    kept = pa.array([number not in wrong for number in episodes["episode_index"].to_pylist()], pa.bool_())
+    reason = "it lasts as long in no video as its timesteps do"
+    return episodes.filter(kept), {f"episode {number}": reason for number in sorted(wrong)}
 
 
 def _read_info(root: Path) -> dict[str, Any]:

@@ -242,7 +242,7 @@ def _action(features: Mapping[str, dict[str, Any]], asked: tuple[str, ...]) -> V
     _check_known(features, keys, "action")
     if len(keys) == 1 and features[keys[0]].get("dtype") == "int64" and features[keys[0]].get("shape") == [1]:
         return Vector({keys[0]: 1}, is_discrete=True)
-    vector = _vector(features, keys)
+    vector = _vector(features, keys, any_number=bool(asked))
     if vector is None:
         raise InvalidInput(
             f"An action must be a vector of floats, or one int64; {_listed(keys)} is of another kind, or too long.",
@@ -256,7 +256,7 @@ def _state(features: Mapping[str, dict[str, Any]], asked: tuple[str, ...]) -> tu
     """Returns the robot's own state, and why a feature of its name is not read."""
     _check_known(features, asked, "state")
     keys = asked or ((layout.STATE_KEY,) if layout.STATE_KEY in features else ())
-    vector = _vector(features, keys)
+    vector = _vector(features, keys, any_number=bool(asked))
     if vector is None and asked:
         raise InvalidInput(
             f"A robot's state must be a vector of floats; {_listed(asked)} is of another kind, or too long.",
@@ -277,12 +277,13 @@ def _check_known(features: Mapping[str, object], keys: Sequence[str], field: str
         )
 
 
-def _vector(features: Mapping[str, dict[str, Any]], keys: Sequence[str]) -> Vector | None:
-    """Returns features side by side; None where one is no vector of floats, or there are too many numbers."""
+def _vector(features: Mapping[str, dict[str, Any]], keys: Sequence[str], *, any_number: bool) -> Vector | None:
+    """Returns features side by side; None where one is no vector of floats, or of any numbers, or too long."""
+    kinds = ("float", "int", "uint", "bool") if any_number else ("float",)
     columns, names = dict[str, int](), list[str]()
     for key in keys:
         shape, dtype = features[key].get("shape"), features[key].get("dtype")
-        if not isinstance(dtype, str) or not dtype.startswith("float") or not isinstance(shape, list):
+        if not isinstance(dtype, str) or not dtype.startswith(kinds) or not isinstance(shape, list):
             return None
         if len(shape) != 1 or not _is_length(shape[0]):
             return None

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from freerein.data import layout
-from freerein.data.trajectory_file import corrupt_as_invalid
+from freerein.data.trajectory_file import MOST_ROWS, corrupt_as_invalid
 from freerein.data.videos import VideoSpan, check_length
 from freerein.errors import InvalidInput
 from freerein.regular_files import open_regular
@@ -17,10 +17,6 @@ _INTEGERS = ("episode_index", "length", "data/chunk_index", "data/file_index")
 _LISTS = ("tasks", "skills")
 _VIDEO_COLUMNS = {"chunk_index": pa.int64(), "file_index": pa.int64(), "from_timestamp": pa.float64()}
 _END_COLUMN = "to_timestamp"
-_MOST_ROWS = 10_000_000
-_LONGEST = 10_000_000
-"""Timesteps of an episode."""
-
 _EPISODES = "`meta/episodes`"
 
 
@@ -67,7 +63,7 @@ def read_columns(root: Path, file: str, names: Sequence[str]) -> pa.Table:
     """
     with corrupt_as_invalid(f"`{file}`"), open_regular(root / file, name=file) as opened:
         parquet = pq.ParquetFile(opened)
-        if parquet.metadata.num_rows > _MOST_ROWS:
+        if parquet.metadata.num_rows > MOST_ROWS:
             raise ValueError("too many rows")
         columns = parquet.schema_arrow.names
         present = [name for name in names if name in columns] if names else columns
@@ -77,6 +73,17 @@ def read_columns(root: Path, file: str, names: Sequence[str]) -> pa.Table:
 def has_video(episodes: pa.Table, key: str) -> bool:
     """Returns whether the table says where the frames of a camera lie."""
     return set(_video_columns(key)) <= set(episodes.column_names)
+
+
+def contradicting(root: Path, episodes: pa.Table, key: str, *, fps: int) -> set[int]:
+    """Returns the numbers of the episodes that last otherwise in the video of a camera than in timesteps."""
+    found = set[int]()
+    for row, number in enumerate(episodes["episode_index"].to_pylist()):
+        try:
+            video_spans(root, episodes.slice(row, 1), key, fps=fps)
+        except InvalidInput:
+            found.add(number)
+    return found
 
 
 def video_spans(root: Path, episodes: pa.Table, key: str, *, fps: int) -> tuple[VideoSpan, ...]:
@@ -136,9 +143,9 @@ def _check_numbers(episodes: pa.Table) -> None:
     for name in _INTEGERS:
         column = episodes[name]
         values = np.array([] if column.null_count else column.to_numpy(), np.int64)
-        if len(values) != len(column) or np.any((values < 0) | (values > _LONGEST)):
+        if len(values) != len(column) or np.any((values < 0) | (values > MOST_ROWS)):
             raise InvalidInput(
-                f"{_EPISODES} must have a `{name}` of 0 to {_LONGEST} in each row; some are missing, or others.",
+                f"{_EPISODES} must have a `{name}` of 0 to {MOST_ROWS} in each row; some are missing, or others.",
                 hint="Write the table again with LeRobot.",
             )
     numbers = episodes["episode_index"].to_numpy()

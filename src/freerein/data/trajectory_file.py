@@ -37,6 +37,8 @@ State: TypeAlias = npt.NDArray[np.float32]
 
 _FOOTER_KEY = b"freerein"
 _EPISODE, _ORDER = "episode_index", "frame_index"
+MOST_ROWS = 10_000_000
+"""Of a table that is read at once: repeated rows take no room in a file."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,8 @@ def _rows_of(path: Path, index: int, columns: Sequence[str]) -> pa.Table:
     with corrupt_as_invalid("The data file"), open_regular(path, name=path.name) as file:
         parquet = pq.ParquetFile(file, page_checksum_verification=True)
         groups = [group for group in range(parquet.num_row_groups) if _may_hold(parquet, group, index)]
+        if sum(parquet.metadata.row_group(group).num_rows for group in groups) > MOST_ROWS:
+            raise ValueError("too many rows")
         order = [_ORDER] if _ORDER in parquet.schema_arrow.names else []
         names = list(dict.fromkeys([*columns, *order, _EPISODE]))
         table = parquet.read_row_groups(groups, columns=names, use_threads=False).select(names)
@@ -209,7 +213,10 @@ def write_labels(path: Path, labels: npt.NDArray[np.int64]) -> None:
 def read_labels(path: Path, *, index: int) -> npt.NDArray[np.int64]:
     """Returns the per-timestep labels of trajectory `index`, int64 (T,)."""
     with corrupt_as_invalid(f"The labels of trajectory {index}"), open_regular(path, name=path.name) as file:
-        table = pq.ParquetFile(file, page_checksum_verification=True).read(use_threads=False)
+        parquet = pq.ParquetFile(file, page_checksum_verification=True)
+        if parquet.metadata.num_rows > MOST_ROWS:
+            raise ValueError("too many rows")
+        table = parquet.read(use_threads=False)
         labels: npt.NDArray[np.int64] = table["label"].to_numpy().astype(np.int64)
         return labels
 
