@@ -33,7 +33,7 @@ def test_a_fit_reports_tags_that_it_was_not_given_and_labels_that_it_never_sees(
             writer.append(Trajectory({"top": np.full((4, 8, 8, 3), index, np.uint8)}, actions))
     tags, labels = tmp_path / "tags.csv", tmp_path / "labels.csv"
     tags.write_text("trajectory,skills\n" + "".join(f"{index},{('push', 'turn')[index % 2]}\n" for index in range(8)))
-    labels.write_text("trajectory,start,end,skill\n0,0,4,push\n1,0,4,turn\n")
+    labels.write_text("trajectory,start,end,skill\n0,0,4,push\n1,0,3,turn\n")
     service = start_service("freerein_segmentation", tmp_path, FREEREIN_SHIPPED_DIR="none")
     monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path))
     monkeypatch.setenv("FREEREIN_SEGMENTATION_ADDRESS", service.address)
@@ -44,7 +44,7 @@ def test_a_fit_reports_tags_that_it_was_not_given_and_labels_that_it_never_sees(
     report = _json("fit", "report", fit["id"])
     segments = _json("segment", "own", "--index", "0")
 
-    assert (report["held_out"], report["labelled"]["trajectories"], report["labelled"]["timesteps"]) == (4, 2, 8)
+    assert (report["held_out"], report["labelled"]["trajectories"], report["labelled"]["timesteps"]) == (4, 2, 7)
     assert 0 <= report["labelled"]["frame_accuracy"] <= report["labelled"]["random_cls_accuracy"] == 1
     assert set(report["tag_average_precision"]) <= {"push", "turn"}
     assert any("10 or more trajectories" in each for each in report["warnings"])
