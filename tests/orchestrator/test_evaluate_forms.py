@@ -29,6 +29,7 @@ from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
 from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds, known_skills, places_in_recipe
 from freerein_orchestrator.kinds.evaluate.sentences import confusion_matrix, told_is_done
+from freerein_orchestrator.kinds.policy_video import VIDEO
 from freerein_reward.model import DualEncoder, DualEncoderSpec
 
 EXPLORATION = {"landmarks": 2, "spacing": 3, "steps_per_landmark": 4, "episodes": 4, "num_envs": 2}
@@ -124,6 +125,7 @@ def test_landmarks_are_followed_from_the_starts_of_the_rollouts_that_they_come_f
     frames, pursuits = frames_of(run), run.artifact("frames.json")
     assert len(frames["goals"]) == 2
     assert len(frames["ends"]) == len(pursuits)
+    assert (run.folder / "artifacts" / VIDEO).is_file()
     whole = evaluation(LANDMARKS)
     assert whole.do()
     again = whole.artifact("result.json")["figures"]  # served models batch by arrival, and rounding differs
@@ -149,6 +151,7 @@ def test_random_actions_as_the_policy_say_nothing_of_landmarks_and_are_judged_by
     result = run.artifact("result.json")
     check_figures(result, "landmarks_reached")
     assert "landmarks_recognized" not in result["figures"]
+    assert (run.folder / "artifacts" / VIDEO).is_file()
     with pytest.raises(InvalidInput, match="steps_per_landmark"):
         evaluation(LANDMARKS | {"policy": "random", "steps_per_landmark": 0}).do()
 
@@ -164,6 +167,7 @@ def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: 
     assert result["figures"]["whole"]["value"] == np.mean([all(each) for each in completed])
     assert result["figures"]["skills_completed"]["baseline"] < 0.3
     assert result["counts"] == {"episodes": 2, "skills": 8}
+    assert (run.folder / "artifacts" / VIDEO).is_file()
 
 
 @pytest.mark.e2e
@@ -253,6 +257,7 @@ def test_a_student_of_a_trained_policy_is_told_every_goal_text_in_every_task_and
     run.check()
     assert run.do()
     assert run.rows[-1]["step"] == 1 + 2 * 2 + 2 + 1 + 2
+    assert all((run.folder / "artifacts" / f"{step}.{VIDEO}").is_file() for step in ("teacher", "exam", "told"))
     exam = run.artifact("exam.result.json")
     assert (exam["goal_text"], exam["model"]["version"]) == (texts[0], run.model.version)
     (learned, _) = run.artifact("student.dataset.json")["teachers"]

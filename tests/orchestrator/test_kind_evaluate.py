@@ -13,6 +13,7 @@ from freerein.errors import InvalidInput, NotFound
 from freerein.learning import weights
 from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.actor_critic.policy_files import save_policy
+from freerein.video.reader import open_video
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.rl.state import init_network
 
@@ -40,6 +41,8 @@ def test_a_result_is_the_oracle_s_with_its_interval_and_says_that_it_is_privileg
     assert mean["low"] <= mean["value"] <= mean["high"]
     assert [row["step"] for row in run.rows] == [1, 2, 3, 4]
     assert run.rows[-1]["success_rate"] == result["figures"]["success_rate"]["value"]
+    with open_video(run.folder / "artifacts" / "policy.mp4") as video:
+        assert sum(1 for _ in video) == result["lengths"][0] + 1
 
 
 @pytest.mark.fault("O2")

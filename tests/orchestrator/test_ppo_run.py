@@ -16,6 +16,7 @@ from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.learning.actor_critic.policy_files import load_policy
 from freerein.types.common import Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ActResponse
+from freerein.video.reader import open_video
 from freerein_orchestrator.rl.network_policy import NetworkPolicy
 
 pytestmark = pytest.mark.e2e
@@ -67,6 +68,8 @@ def test_a_run_leaves_a_policy_a_card_and_metrics(ppo: Callable[..., Any], train
     assert (card["reward"], card["privileged"], card["model"]["name"]) == ("learned", False, "default")
     assert card["figures"]["timesteps"] == 2 * (32 + 16)
     assert [row["step"] for row in trained.rows] == [1, 2]
+    with open_video(trained.folder / "artifacts" / "policy.mp4") as video:
+        assert (sum(1 for _ in video), video.info.height) == (2 * 8, 256)
     assert {"entropy", "approx_kl", "steps_per_s", "recoveries", "rejected", "timesteps"} <= trained.rows[0].keys()
     policy = load_policy(trained.folder / "artifacts", device="cpu")
     frames, starts = np.zeros((2, 64, 64, 3), np.uint8), np.ones(2, np.bool_)

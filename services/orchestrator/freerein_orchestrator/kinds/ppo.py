@@ -4,7 +4,7 @@ An unprivileged session returns frames only, and rewards are computed from them.
 with, takes a privileged session.
 
 <run>/checkpoints/   freerein_orchestrator.rl.trainer
-      artifacts/     the policy, freerein.learning.actor_critic.policy_files
+      artifacts/     the policy, freerein.learning.actor_critic.policy_files, and a video of it
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any, Literal, TypeAlias, cast
 
 import torch
+from torch import Tensor
 
 from freerein.clients.tasks import find_camera, find_task
 from freerein.errors import InvalidInput
@@ -21,7 +22,6 @@ from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.actor_critic.policy_files import StoredPolicy, save_in_distribution, save_policy
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import bounded, parse
-from freerein.learning.in_distribution import InDistribution
 from freerein.learning.model_files import choose_device
 from freerein.types.common import Camera, ModelRef
 from freerein.types.reward import RewardResponse
@@ -33,6 +33,7 @@ from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.finished_training import check_sims, find_training
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.policy_store import PolicyStore
+from freerein_orchestrator.kinds.policy_video import can_film, save_video
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups
 from freerein_orchestrator.rl.object_encoder import ObjectEncoder, load_object_encoder
@@ -125,8 +126,11 @@ def run(context: RunContext, config: PPORunConfig) -> None:
         threads=config.threads,
     )
     state = trainer.train()
-    save_in_distribution(training.retry.call(lambda: training.in_distribution(state)), context.artifacts)
+    frames = training.retry.call(lambda: training.visited_frames(state))
+    save_in_distribution(fit_in_distribution(frames), context.artifacts)
     task = training.retry.call(lambda: find_task(training.sims[0], config.task))
+    if can_film(context):
+        save_video(context, frames[:: config.num_envs].numpy(), dt_s=task.control_dt_s * config.action_repeat)
     save_policy(state.network, context.artifacts, card=_card(config, state, task))
 
 
@@ -215,13 +219,13 @@ class _Training:
         open_envs = partial(self._open_envs, reward_fn, inputs["camera"])
         return RecoveringCollector(open_envs, num_steps=self._config.num_steps, retry=self.retry)
 
-    def in_distribution(self, state: PPOState) -> InDistribution:
-        """Returns how familiar frames are to the trained policy: relative to those that it visits itself."""
+    def visited_frames(self, state: PPOState) -> Tensor:
+        """Returns the frames that the trained policy visits, uint8 (steps * N, H, W, C): step after step of N envs."""
         config, generator = self._config, torch.Generator().manual_seed(self._config.seed)
         camera = cast(str, state.inputs["camera"])
         with closing(self._open_envs(zero_reward, camera, ())) as envs:
             steps = _VISITED_ROLLOUTS * config.num_steps
-            return fit_in_distribution(visited_frames(state.network, envs, generator, num_steps=steps))
+            return visited_frames(state.network, envs, generator, num_steps=steps)
 
     def _initial_policy(self, spec: ActorCriticSpec) -> StoredPolicy | None:
         if not self._config.init_from:

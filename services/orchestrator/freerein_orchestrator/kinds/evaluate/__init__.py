@@ -19,6 +19,7 @@ from freerein_orchestrator.kinds.evaluate.form import Form, FormConfig, Setup
 from freerein_orchestrator.kinds.evaluate.record import TrialRecord
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.policy_store import PolicyStore
+from freerein_orchestrator.kinds.policy_video import can_film, save_video
 
 FORMS: Mapping[str, Form[Any]] = {
     "returns": returns.FORM,
@@ -66,6 +67,8 @@ def run(context: RunContext, config: FormConfig) -> None:
         record.add(evaluation.subject, retry.call(partial(evaluation.run_round, done, count)))
     result = retry.call(lambda: evaluation.result(record.trials()))
     header = {name: getattr(config, name) for name in ("form", "task", "conditions", "episodes", "num_envs", "seed")}
+    if result.film is not None and can_film(context):
+        save_video(context, result.film, dt_s=task.control_dt_s)
     record.write_result(result, {**header, "privileged": True})
 
 

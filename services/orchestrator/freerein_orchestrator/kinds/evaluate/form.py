@@ -10,10 +10,13 @@ import numpy.typing as npt
 from freerein.clients import SyncClient
 from freerein.learning.config import bounded
 from freerein.metrics import mean_interval, ratio_interval
-from freerein.types.sim import CreateSessionRequest, Task
-from freerein_orchestrator.envs.episodes import derive_seed
+from freerein.types.common import Goal
+from freerein.types.sim import CreateSessionRequest, Recipe, Task
+from freerein_orchestrator.envs.episodes import derive_seed, run_episodes
+from freerein_orchestrator.envs.policies import PolicyHandle
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.policy_store import PolicyStore
+from freerein_orchestrator.kinds.policy_video import MAX_FRAMES, can_film
 
 Frames = npt.NDArray[np.uint8]
 
@@ -83,6 +86,7 @@ class Result:
         details: More values, JSON, by name.
         pictures: Describes the frames, JSON; written only where there are some.
         frames: What pictures show, uint8, by name.
+        film: Frames of the policy's first episode, uint8 (T, H, W, C); None without a policy, or where it is not kept.
     """
 
     figures: dict[str, Figure]
@@ -90,6 +94,7 @@ class Result:
     details: dict[str, Any] = field(default_factory=dict)
     pictures: list[dict[str, Any]] = field(default_factory=list)
     frames: dict[str, Frames] = field(default_factory=dict)
+    film: Frames | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +143,40 @@ class Setup(Generic[C]):
             conditions=self.config.conditions,
             max_episode_steps=max_steps,
         )
+
+    def film(
+        self,
+        policy: PolicyHandle,
+        goal: Goal,
+        *,
+        recipes: Sequence[Recipe] = (),
+        episode_steps: int = 0,
+        max_steps: int = MAX_FRAMES,
+    ) -> Frames | None:
+        """Returns the frames of the first trial's episode, run again by itself; None where no video can be written.
+
+        Args:
+            policy: Acts.
+            goal: Its goal.
+            recipes: What the episode requires; empty for what the world draws.
+            episode_steps: Steps of an episode; 0 for the task's own.
+            max_steps: Steps after which it is cut off, `MAX_FRAMES` at most.
+        """
+        if not can_film(self.context):
+            return None
+        camera = (*policy.cameras, self.task.cameras[0].name)[0]
+        request = self.session(1, 0, height=policy.height, width=policy.width, max_steps=episode_steps)
+        (episode,) = run_episodes(
+            self.sim,
+            request,
+            policy,
+            self.interrupt,
+            goals=[goal],
+            recipes=recipes,
+            cameras=[camera],
+            max_steps=min(max_steps, MAX_FRAMES),
+        )
+        return episode.frames[camera]
 
 
 class Evaluation(Protocol):

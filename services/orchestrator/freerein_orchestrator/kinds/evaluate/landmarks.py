@@ -22,7 +22,9 @@ from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import Flags, TruthSession, check_predicates, truth_session
 from freerein_orchestrator.kinds.evaluate.form import Figure, Form, Result, Setup, Trial, ratio_figure, share_figure
 from freerein_orchestrator.kinds.evaluate.policies import PolicyConfig, check_no_goal, check_policy, find_policy
+from freerein_orchestrator.kinds.policy_video import MAX_FRAMES
 
+_FILM = "film"
 AT_LANDMARK, OBJECT_MOVES = "at-landmark", "object-moves"
 _EXPLORATION, _BASELINE = 0, 1  # random streams
 _SPLITS = {"": (False, True), "object_moves.": (True,), "no_object_moves.": (False,)}
@@ -169,10 +171,12 @@ class LandmarksEvaluation:
     def _trial(self, explored: Episode, followed: Episode, at: Flags, at_random: Flags, moves: Flags) -> Trial:
         """Returns the measurements of an episode, in which `moves`, bool (N,), says what landmarks need a move."""
         baseline = reached_by_truth(at_random, max_steps=self._max_steps)
+        film = followed.frames[self._cameras[0]][:MAX_FRAMES]
         values: dict[str, Any] = {"moves": moves.tolist(), "baseline": baseline.tolist()}
         if followed.goal_index is None or followed.goal_confidence is None:
             reached = reached_by_truth(at, max_steps=self._max_steps)
-            return Trial({**values, "reached": reached.tolist(), "landmarks_reached": float(reached.mean())})
+            values |= {"reached": reached.tolist(), "landmarks_reached": float(reached.mean())}
+            return Trial(values, {_FILM: film})
         pursuit = pursuit_of(at[:, :-1], followed.goal_index)
         active, ends = pursuit.is_active, np.flatnonzero(pursuit.left)
         values |= {
@@ -193,7 +197,7 @@ class LandmarksEvaluation:
         }
         goals, ends_seen = (each[self._cameras[0]] for each in (self._goal_frames(explored), followed.frames))
         recognized = pursuit.recognized.sum()
-        return Trial(values, {f"goals-{recognized}": goals, f"ends-{recognized}": ends_seen[ends]})
+        return Trial(values, {f"goals-{recognized}": goals, f"ends-{recognized}": ends_seen[ends], _FILM: film})
 
     def _goal(self, explored: Episode) -> Goal:
         """Returns the landmarks as goal images: for each landmark an image of every camera."""
@@ -222,13 +226,14 @@ class LandmarksEvaluation:
         seed = self._setup.config.seed
         figures = _reached_figures(values, seed=seed)
         counts = {"episodes": len(values), "landmarks": len(values) * len(self._steps)}
+        film = next((trial.frames[_FILM] for trial in trials if _FILM in trial.frames), None)
         if "recognized" not in values[0]:
-            return Result(figures, counts)
+            return Result(figures, counts, film=film)
         figures |= _recognizer_figures(values, seed=seed)
         median = sorted(sum(each["recognized"]) for each in values)[len(values) // 2]
         shown = next(trial for trial in trials if f"goals-{median}" in trial.frames)
         frames = {name: shown.frames[f"{name}-{median}"] for name in ("goals", "ends")}
-        return Result(figures, counts, pictures=shown.values["pursuits"], frames=frames)
+        return Result(figures, counts, pictures=shown.values["pursuits"], frames=frames, film=film)
 
 
 def _at_landmarks(

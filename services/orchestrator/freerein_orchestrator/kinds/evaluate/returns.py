@@ -150,7 +150,8 @@ class ReturnsEvaluation:
             figures["expert_return_mean"] = mean_figure(lists["expert_returns"], seed=seed)
         starts = {name: [trial.values["starts"][name] for trial in trials] for name in self._starts}
         figures |= self._split_figures(trials)
-        return Result(figures, {"episodes": len(trials)}, lists | ({"starts": starts} if starts else {}))
+        film = self._setup.film(self._policy.handle, self._policy.goal)
+        return Result(figures, {"episodes": len(trials)}, lists | ({"starts": starts} if starts else {}), film=film)
 
     def _split_figures(self, trials: Sequence[Trial]) -> dict[str, Figure]:
         """Returns the figures of the trials that began in each way."""

@@ -131,7 +131,8 @@ class SentencesEvaluation:
         ]
         confusion = confusion_matrix(successes, tasks=[task.name for task in self._tasks], texts=self._texts)
         details = {"word_blind_text": self._texts[best], "told": told, "confusion": confusion}
-        return Result(figures, {"episodes": returns.size, "trials": len(trials)}, details)
+        film = self._setup.film(self._tasks[0].policy, Goal(text=self._own[0]))
+        return Result(figures, {"episodes": returns.size, "trials": len(trials)}, details, film=film)
 
 
 def told_is_done(successes: Values, own: Sequence[int], *, seed: int) -> dict[str, Figure]:
