@@ -8,6 +8,7 @@ import numpy.typing as npt
 from freerein.types.common import ActionSpec, Camera, Draining, Error, Goal, ModelRef, Observation, Timing
 
 GoalForm = Literal["images", "recipe", "text"]
+Resize = Literal["fit", "crop"]
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,8 @@ class ActRequest:
             int64 (N, 1); None or N = 0 for none.
         state: `state` of the previous reply; empty at the start.
         max_steps_per_goal: Control steps after which a goal is abandoned for the next one; 0 for the model's own limit.
+        resize: How images of another size than the model's are made to fit, those of the goal, too: `fit`, the whole
+            image between black bars; `crop`, its middle; None to refuse them.
     """
 
     observation: Observation
@@ -65,6 +68,7 @@ class ActRequest:
     state: bytes = b""
     max_steps_per_goal: int = 0
     model: ModelRef = ModelRef()
+    resize: Resize | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +86,7 @@ class ActResponse:
             `freerein.learning.in_distribution`.
         state: The policy state, for the next call. Opaque; at most 64 KiB.
         goal_reached: Whether every goal was reached. None where the policy does not predict it: language policies.
+        resized: Whether an image of the observation or of the goal was resized.
     """
 
     actions: npt.NDArray[Any]
@@ -93,6 +98,7 @@ class ActResponse:
     model: ModelRef
     timing: Timing
     goal_reached: bool | None = None
+    resized: bool = False
 
 
 @dataclass(frozen=True)
@@ -126,6 +132,7 @@ class Hello:
         max_steps_per_goal: As in `ActRequest`.
         valid_for_s: Longest age of an observation whose actions may be executed, in seconds; 0 for two control steps
             beyond the chunk.
+        resize: As in `ActRequest`; the sizes of `cameras` may then be others than the model's.
     """
 
     goal: Goal
@@ -136,6 +143,7 @@ class Hello:
     state: bytes = b""
     max_steps_per_goal: int = 0
     valid_for_s: float = 0.0
+    resize: Resize | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +191,7 @@ class Chunk:
     dropped: int
     timing: Timing
     goal_reached: bool | None = None
+    resized: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,7 +46,8 @@ class ActService:
         """
         start_ns = time.perf_counter_ns()
         model, policy = await self._models.resolve(request.model)
-        context = await ActContext.create(model, policy, request.goal, max_steps=request.max_steps_per_goal)
+        limit, resize = request.max_steps_per_goal, request.resize
+        context = await ActContext.create(model, policy, request.goal, max_steps=limit, resize=resize)
         session = PolicySession(context, self._batcher, state=request.state, timeout_s=self._timeout_s)
         result, timing = await session.act(
             request.observation,
@@ -65,4 +66,5 @@ class ActService:
             state=session.state,
             model=model,
             timing=timing,
+            resized=session.resized,
         )

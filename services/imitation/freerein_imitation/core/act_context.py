@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.types.common import Goal, ModelRef, Observation
-from freerein.types.imitation import GetSpecResponse
+from freerein.types.imitation import GetSpecResponse, Resize
 from freerein_imitation.core.inference import InferenceRequest
 from freerein_imitation.core.inputs import (
     Subgoal,
@@ -18,6 +18,7 @@ from freerein_imitation.core.inputs import (
     parse_robot_state,
 )
 from freerein_imitation.core.policy_state import PolicyState, decode_state, encode_state
+from freerein_imitation.core.resizing import Resizer
 from freerein_imitation.model.policy import Policy, PolicySpec
 
 
@@ -31,6 +32,7 @@ class ActContext:
         goals: Goals in the order in which to reach them.
         digest: Digest of the goals.
         max_steps: Control steps after which each goal is abandoned.
+        resizer: Makes images fit; notes whether one of the goals had to be.
     """
 
     model: ModelRef
@@ -38,18 +40,22 @@ class ActContext:
     goals: tuple[Subgoal, ...]
     digest: bytes
     max_steps: tuple[int, ...]
+    resizer: Resizer
 
     @classmethod
-    async def create(cls, model: ModelRef, policy: Policy, goal: Goal, *, max_steps: int) -> "ActContext":
+    async def create(
+        cls, model: ModelRef, policy: Policy, goal: Goal, *, max_steps: int, resize: Resize | None = None
+    ) -> "ActContext":
         """Returns the context of a goal; `max_steps` 0 stands for the model's own limits.
 
         Raises:
             InvalidInput: The goal does not match the policy.
             UnsupportedMedia: An image is not in the encoding that it names.
         """
-        goals = await parse_goal(policy.spec, goal)
+        resizer = Resizer(resize)
+        goals = await parse_goal(policy.spec, goal, resizer)
         limits = tuple(max_steps or policy.spec.step_limit(each.content) for each in goals)
-        return cls(model, policy, goals, goal_digest(goals), limits)
+        return cls(model, policy, goals, goal_digest(goals), limits, resizer)
 
     def decode_state(self, data: bytes) -> PolicyState:
         """Returns the policy state in an API `state`; the initial one when empty.
@@ -69,7 +75,13 @@ class ActContext:
         return encode_state(state, version=self.model.version, goal_digest=self.digest)
 
     async def parse(
-        self, observation: Observation, executed: npt.NDArray[Any] | None, state: PolicyState, *, elapsed: int
+        self,
+        observation: Observation,
+        executed: npt.NDArray[Any] | None,
+        state: PolicyState,
+        *,
+        elapsed: int,
+        resizer: Resizer | None = None,
     ) -> InferenceRequest:
         """Returns an observation as an inference request.
 
@@ -78,6 +90,7 @@ class ActContext:
             executed: Actions executed since the previous observation, (N, A), or None.
             state: Policy state before the observation.
             elapsed: Control steps since the observation of that state.
+            resizer: Makes the observation's images fit; None for images that must.
 
         Raises:
             InvalidInput: Observation or actions do not match the policy.
@@ -88,7 +101,7 @@ class ActContext:
             policy=self.policy,
             version=self.model.version,
             goals=self.goals,
-            frames=await parse_frames(spec, observation),
+            frames=await parse_frames(spec, observation, resizer or Resizer(None)),
             previous=parse_previous_action(spec, executed),
             state=state,
             elapsed=elapsed,

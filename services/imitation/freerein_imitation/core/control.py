@@ -74,7 +74,8 @@ class ControlService:
         model, policy = await self._models.resolve(hello.model)
         spec = spec_response(model, policy.spec)
         _check_agreement(spec, hello)
-        context = await ActContext.create(model, policy, hello.goal, max_steps=hello.max_steps_per_goal)
+        limit, resize = hello.max_steps_per_goal, hello.resize
+        context = await ActContext.create(model, policy, hello.goal, max_steps=limit, resize=resize)
         return _ControlSession(spec, context, hello, self._batcher)
 
     async def _close_when_draining(self, queue: ControlQueue) -> None:
@@ -115,6 +116,7 @@ class _ControlSession:
             valid_until_ns=min(observed.observation_time_ns + round(self._valid_for_s * 1e9), _LAST_NS),
             dropped=queue.dropped,
             timing=timing,
+            resized=self._policy.resized,
         )
         return ControlResponse(seq=observed.seq, chunk=chunk)
 
@@ -133,7 +135,7 @@ def _check_agreement(spec: GetSpecResponse, hello: Hello) -> None:
         )
     expected, got = spec.action, hello.action
     compared = (
-        ("cameras", spec.cameras, _in_order(hello.cameras, spec.cameras)),
+        ("cameras", spec.cameras, _comparable(hello, spec.cameras)),
         ("action.size", expected.size, got.size),
         ("action.choices", expected.choices, got.choices),
         ("action.names", expected.names, got.names),
@@ -153,6 +155,15 @@ def _check_agreement(spec: GetSpecResponse, hello: Hello) -> None:
             field="hello",
             hint="Use a model that was trained for this robot; GetSpec returns a model's spec.",
         )
+
+
+def _comparable(hello: Hello, expected: tuple[Camera, ...]) -> tuple[Camera, ...]:
+    """Returns a robot's cameras in the order of the model's, and in their sizes where images are resized."""
+    cameras = _in_order(hello.cameras, expected)
+    if hello.resize is None or len(cameras) != len(expected):
+        return cameras
+    pairs = zip(cameras, expected, strict=True)
+    return tuple(replace(camera, height=model.height, width=model.width) for camera, model in pairs)
 
 
 def _in_order(cameras: tuple[Camera, ...], expected: tuple[Camera, ...]) -> tuple[Camera, ...]:

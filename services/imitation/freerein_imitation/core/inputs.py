@@ -13,10 +13,12 @@ from freerein import images
 from freerein.errors import InvalidInput
 from freerein.types.common import ACTION_TOLERANCE, MAX_TEXT, Camera, Goal, Image, Observation
 from freerein_imitation.core.policy_state import DIGEST_BYTES
+from freerein_imitation.core.resizing import Resizer
 from freerein_imitation.model.known_texts import KnownText
 from freerein_imitation.model.policy import CameraFrames, PolicySpec
 
 MAX_GOALS = 256
+_AS_THEY_ARE = Resizer(None)
 _RAW = ("raw_rgb8", "raw_gray8")
 _INLINE_BYTES = 2**19  # hashed within half a millisecond: not worth a thread
 _CAMERAS_HINT = "GetSpec names the cameras of a model."
@@ -35,7 +37,7 @@ class Subgoal:
     content: CameraFrames | str
 
 
-async def parse_frames(spec: PolicySpec, observation: Observation) -> CameraFrames:
+async def parse_frames(spec: PolicySpec, observation: Observation, resizer: Resizer = _AS_THEY_ARE) -> CameraFrames:
     """Returns the frame of each camera, uint8 (H, W, C); encoded images are decoded off the event loop.
 
     Raises:
@@ -49,12 +51,12 @@ async def parse_frames(spec: PolicySpec, observation: Observation) -> CameraFram
             field=field,
             hint=_CAMERAS_HINT,
         )
-    if all(image.encoding in _RAW for image in given):
-        return _decode_views(spec, given, field)
-    return await asyncio.to_thread(_decode_views, spec, given, field)
+    if resizer.mode is None and all(image.encoding in _RAW for image in given):
+        return _decode_views(spec, given, field, resizer)
+    return await asyncio.to_thread(_decode_views, spec, given, field, resizer)
 
 
-async def parse_goal(spec: PolicySpec, goal: Goal) -> tuple[Subgoal, ...]:
+async def parse_goal(spec: PolicySpec, goal: Goal, resizer: Resizer = _AS_THEY_ARE) -> tuple[Subgoal, ...]:
     """Returns the goals in the order in which to reach them; large images are decoded off the event loop.
 
     Raises:
@@ -67,9 +69,9 @@ async def parse_goal(spec: PolicySpec, goal: Goal) -> tuple[Subgoal, ...]:
     if spec.goal_form == "recipe":
         return tuple(_parse_skill(spec, name, f"goal.recipe.{i}") for i, name in enumerate(goal.recipe))
     is_raw = all(image.encoding in _RAW for image in goal.images)
-    if is_raw and sum(len(image.data) for image in goal.images) < _INLINE_BYTES:
-        return _parse_goal_images(spec, goal.images)
-    return await asyncio.to_thread(_parse_goal_images, spec, goal.images)
+    if resizer.mode is None and is_raw and sum(len(image.data) for image in goal.images) < _INLINE_BYTES:
+        return _parse_goal_images(spec, goal.images, resizer)
+    return await asyncio.to_thread(_parse_goal_images, spec, goal.images, resizer)
 
 
 def goal_digest(goals: tuple[Subgoal, ...]) -> bytes:
@@ -159,19 +161,24 @@ def _check_goal_form(spec: PolicySpec, goal: Goal) -> None:
         )
 
 
-def _parse_goal_images(spec: PolicySpec, goal: tuple[Image, ...]) -> tuple[Subgoal, ...]:
+def _parse_goal_images(spec: PolicySpec, goal: tuple[Image, ...], resizer: Resizer) -> tuple[Subgoal, ...]:
     """Returns goals of one image per camera each."""
     size = len(spec.cameras)
-    pixels = len(goal) // size * sum(camera.height * camera.width for camera in spec.cameras)
+    if resizer.mode is None:
+        pixels = len(goal) // size * sum(camera.height * camera.width for camera in spec.cameras)
+    else:
+        pixels = sum(images.pixel_count(image, field=f"goal.images.{i}") for i, image in enumerate(goal))
     images.check_total_pixels(pixels, hint="Send fewer goals.", field="goal.images")
     parts = [
-        _decode_views(spec, goal[first : first + size], "goal.images", first=first)
+        _decode_views(spec, goal[first : first + size], "goal.images", resizer, first=first)
         for first in range(0, len(goal), size)
     ]
     return tuple(Subgoal(_digest(*(frame.data for frame in frames.values())), frames) for frames in parts)
 
 
-def _decode_views(spec: PolicySpec, views: Sequence[Image], field: str, *, first: int = 0) -> CameraFrames:
+def _decode_views(
+    spec: PolicySpec, views: Sequence[Image], field: str, resizer: Resizer, *, first: int = 0
+) -> CameraFrames:
     """Returns the image of each camera, in the spec's order.
 
     `first` is the index in `field` of the first view, for errors.
@@ -191,15 +198,16 @@ def _decode_views(spec: PolicySpec, views: Sequence[Image], field: str, *, first
                 field=f"{field}.{i}.camera",
                 hint=_CAMERAS_HINT,
             )
-        frames[camera.name] = _decode(camera, image, f"{field}.{i}")
+        frames[camera.name] = _decode(camera, image, f"{field}.{i}", resizer)
     return {camera.name: frames[camera.name] for camera in spec.cameras}
 
 
-def _decode(camera: Camera, image: Image, field: str) -> npt.NDArray[np.uint8]:
-    """Returns an image's pixels; a file whose header names another size is not decoded."""
+def _decode(camera: Camera, image: Image, field: str, resizer: Resizer) -> npt.NDArray[np.uint8]:
+    """Returns an image's pixels; a file whose header names another size is not decoded unless it is to be resized."""
     expected = (camera.height, camera.width, camera.channels)
-    if image.encoding in _RAW or images.pixel_count(image, field=field) == camera.height * camera.width:
-        pixels = images.decode(image, field=field)
+    resizes = resizer.mode is not None
+    if image.encoding in _RAW or resizes or images.pixel_count(image, field=field) == camera.height * camera.width:
+        pixels = resizer.resized(images.decode(image, field=field), camera)
         if pixels.shape == expected:
             return pixels
         got = f"{pixels.shape}"
@@ -208,7 +216,7 @@ def _decode(camera: Camera, image: Image, field: str) -> npt.NDArray[np.uint8]:
     raise InvalidInput(
         f"`{field}` must have height, width and channels {expected}, as in training; got {got}.",
         field=field,
-        hint="Scale it, or name another model.",
+        hint="Scale it, ask for `resize`, or name another model.",
     )
 
 

@@ -9,6 +9,7 @@ from freerein.serving.batcher import Batcher, BatchResult
 from freerein.types.common import Observation, Timing
 from freerein_imitation.core.act_context import ActContext
 from freerein_imitation.core.inference import InferenceRequest, InferenceResult
+from freerein_imitation.core.resizing import Resizer
 
 PolicyBatcher = Batcher[InferenceRequest, InferenceResult]
 
@@ -22,6 +23,9 @@ class PolicySession:
         state: An API `state` to continue from; empty to start.
         timeout_s: Longest wait of an observation for the model, in seconds.
 
+    Attributes:
+        resized: Whether an image of the latest observation or of the goal was resized.
+
     Raises:
         InvalidInput: The state is malformed.
         FailedPrecondition: The state is of another model or goal.
@@ -33,6 +37,7 @@ class PolicySession:
         self._timeout_s = timeout_s
         self._state = context.decode_state(state)
         self._has_state = bool(state)
+        self.resized = False
         self._elapsed = 0  # control steps since the observation of the state
 
     @property
@@ -68,7 +73,9 @@ class PolicySession:
         start_ns = time.perf_counter_ns()
         self._elapsed += elapsed
         counted = self._elapsed if self._has_state else 0
-        request = await self._context.parse(observation, executed, self._state, elapsed=counted)
+        resizer = Resizer(self._context.resizer.mode)
+        request = await self._context.parse(observation, executed, self._state, elapsed=counted, resizer=resizer)
+        self.resized = self._context.resizer.has_resized or resizer.has_resized
         decode_ns += time.perf_counter_ns() - start_ns
         done = await self._batcher.submit(request, key=self._context.model, timeout_s=self._timeout_s)
         self._state, self._has_state, self._elapsed = done.output.state, True, 0

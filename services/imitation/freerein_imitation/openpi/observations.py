@@ -13,7 +13,7 @@ ignored, and the reply says so. For a single camera `image` is as good as its na
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,15 +50,15 @@ class OpenpiObservation:
     note: str = ""
 
 
-def parse_observation(spec: PolicySpec, message: dict[str, Any]) -> OpenpiObservation:
-    """Returns what a message says to a policy.
+def parse_observation(spec: PolicySpec, message: dict[str, Any], *, resizes: bool = False) -> OpenpiObservation:
+    """Returns what a message says to a policy; with `resizes`, images may have any height and width.
 
     Raises:
         InvalidInput: A key is unknown or missing, or a value is of another type, dtype or shape.
     """
     rest = dict(message)
-    images = _take_images(rest, "observation", spec.cameras)
-    goal = _take_goal(rest, spec)
+    images = _take_images(rest, "observation", spec.cameras, resizes)
+    goal = _take_goal(rest, spec, resizes)
     state = rest.pop(_STATE, None)
     executed, reset = rest.pop("executed_actions", None), rest.pop("reset", False)
     note = _PROMPT_IGNORED.format(spec.goal_form) if rest.pop(_PROMPT, None) is not None else ""
@@ -108,11 +108,11 @@ def _known_keys(spec: PolicySpec) -> list[str]:
     return [*observed, _STATE, *goals[spec.goal_form], "executed_actions", "reset"]
 
 
-def _take_goal(rest: dict[str, Any], spec: PolicySpec) -> Goal | None:
+def _take_goal(rest: dict[str, Any], spec: PolicySpec, resizes: bool) -> Goal | None:
     """Removes the goal in the policy's form, and returns it; None where there is none."""
     if spec.goal_form == "images":
         has_goal = any(key.startswith("goal/") for key in rest)
-        return Goal(_take_images(rest, "goal", spec.cameras)) if has_goal else None
+        return Goal(_take_images(rest, "goal", spec.cameras, resizes)) if has_goal else None
     if spec.goal_form == "text":
         prompt = rest.pop(_PROMPT, None)
         if prompt is not None and not isinstance(prompt, str):
@@ -126,7 +126,7 @@ def _take_goal(rest: dict[str, Any], spec: PolicySpec) -> Goal | None:
     return Goal(recipe=tuple(recipe))
 
 
-def _take_images(rest: dict[str, Any], part: str, cameras: Sequence[Camera]) -> tuple[Image, ...]:
+def _take_images(rest: dict[str, Any], part: str, cameras: Sequence[Camera], resizes: bool) -> tuple[Image, ...]:
     """Removes the images under a part of the message; returns them, one of each camera after the other."""
     views: list[tuple[Image, ...]] = []
     for camera in cameras:
@@ -134,7 +134,8 @@ def _take_images(rest: dict[str, Any], part: str, cameras: Sequence[Camera]) -> 
         if len(cameras) == 1 and key not in rest:
             key = f"{part}/{_ONLY_CAMERA}"
         if key in rest:
-            views.append(_images(rest.pop(key), camera, key, is_sequence=part == "goal"))
+            value = rest.pop(key)
+            views.append(_images(value, _seen(value, camera) if resizes else camera, key, is_sequence=part == "goal"))
     counts = {len(each) for each in views}
     if len(counts) > 1:
         raise InvalidInput(
@@ -143,6 +144,14 @@ def _take_images(rest: dict[str, Any], part: str, cameras: Sequence[Camera]) -> 
             hint="A goal is one image of each camera.",
         )
     return tuple(image for moment in zip(*views, strict=True) for image in moment)
+
+
+def _seen(value: object, camera: Camera) -> Camera:
+    """Returns a camera with the height and width of a picture, or of several."""
+    if not isinstance(value, np.ndarray) or value.ndim < 3:
+        return camera
+    height, width = value.shape[-3:-1]
+    return replace(camera, height=height, width=width)
 
 
 def _images(value: object, camera: Camera, key: str, *, is_sequence: bool) -> tuple[Image, ...]:

@@ -8,7 +8,7 @@ the model's version, the goal and the policy state.
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ import numpy.typing as npt
 from freerein import wire
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import Goal, ModelRef
+from freerein.types.imitation import Resize
 from freerein.unknown_names import described
 from freerein_imitation.core.act import Policies
 from freerein_imitation.core.act_context import ActContext, spec_response
@@ -26,7 +27,7 @@ from freerein_imitation.openpi.messages import pack, read
 from freerein_imitation.openpi.observations import OpenpiObservation, parse_observation
 
 MAX_STEPS = 2**32 - 1
-_TEXTS = ("model.name", "model.version", "goal.text")
+_TEXTS = ("model.name", "model.version", "goal.text", "resize")
 _NUMBERS = ("max_steps_per_goal", "action_horizon")
 _RECIPE = "goal.recipe"
 
@@ -40,12 +41,14 @@ class OpenpiQuery:
         goal: The goal; None where observations hold it.
         max_steps_per_goal: As in `ActRequest`.
         action_horizon: Actions of each reply that the robot executes, unless it tells otherwise; 0 for all.
+        resize: As in `ActRequest`.
     """
 
     model: ModelRef
     goal: Goal | None
     max_steps_per_goal: int
     action_horizon: int
+    resize: Resize | None = None
 
 
 class OpenpiService:
@@ -110,7 +113,8 @@ class OpenpiConnection:
             ServiceError: The model failed, is overloaded, or did not answer in time.
         """
         arrived_ns = time.perf_counter_ns()
-        message = parse_observation(self._policy.spec, await read(data))
+        resizes = self._query.resize is not None
+        message = parse_observation(self._policy.spec, await read(data), resizes=resizes)
         session = await self._session_of(message)
         executed = self._proposed if message.executed_actions is None else message.executed_actions
         result, timing = await session.act(
@@ -133,6 +137,7 @@ class OpenpiConnection:
                 "in_distribution": result.in_distribution,
                 "model": asdict(self._model),
                 "timing": asdict(timing),
+                **({"resized": session.resized} if resizes else {}),
                 **({"note": message.note} if message.note else {}),
             }
         )
@@ -146,7 +151,9 @@ class OpenpiConnection:
         content = (goal.text, goal.recipe, [(image.camera, image.data) for image in goal.images])
         if content != self._goal:
             limit = self._query.max_steps_per_goal
-            self._context = await ActContext.create(self._model, self._policy, goal, max_steps=limit)
+            self._context = await ActContext.create(
+                self._model, self._policy, goal, max_steps=limit, resize=self._query.resize
+            )
             self._goal, self._session = content, None
 
     async def _session_of(self, message: OpenpiObservation) -> PolicySession:
@@ -201,10 +208,17 @@ def parse_query(items: Sequence[tuple[str, str]]) -> OpenpiQuery:
             f"The URL may have {', '.join(known)}, each once, and {_RECIPE}; got {got}",
             hint="Write it like ws://localhost:8102/?model.name=skills&goal.recipe=move-red",
         )
-    name, version, text = (single.get(key, "") for key in _TEXTS)
+    name, version, text, resize = (single.get(key, "") for key in _TEXTS)
+    if resize not in ("", *get_args(Resize)):
+        raise InvalidInput(
+            f"`resize` must be {' or '.join(get_args(Resize))}; got another word.",
+            field="resize",
+            hint="Leave it out to have images of other sizes refused.",
+        )
     steps, horizon = (_number(key, single.get(key, "0")) for key in _NUMBERS)
     has_goal = recipe or "goal.text" in single
-    return OpenpiQuery(ModelRef(name, version), Goal(recipe=recipe, text=text) if has_goal else None, steps, horizon)
+    goal = Goal(recipe=recipe, text=text) if has_goal else None
+    return OpenpiQuery(ModelRef(name, version), goal, steps, horizon, cast(Resize, resize) if resize else None)
 
 
 def _number(key: str, value: str) -> int:

@@ -48,6 +48,30 @@ GOAL_FORM_TEXT: GoalForm.ValueType  # 3
 """A text."""
 Global___GoalForm: _TypeAlias = GoalForm  # noqa: Y015
 
+class _Resize:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _ResizeEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Resize.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    RESIZE_UNSPECIFIED: _Resize.ValueType  # 0
+    """Rejected."""
+    RESIZE_FIT: _Resize.ValueType  # 1
+    """The whole image, between black bars."""
+    RESIZE_CROP: _Resize.ValueType  # 2
+    """The middle of the image, without what is too wide or too high."""
+
+class Resize(_Resize, metaclass=_ResizeEnumTypeWrapper):
+    """How images of another size than the model's are made to fit; their proportions stay."""
+
+RESIZE_UNSPECIFIED: Resize.ValueType  # 0
+"""Rejected."""
+RESIZE_FIT: Resize.ValueType  # 1
+"""The whole image, between black bars."""
+RESIZE_CROP: Resize.ValueType  # 2
+"""The middle of the image, without what is too wide or too high."""
+Global___Resize: _TypeAlias = Resize  # noqa: Y015
+
 @_typing.final
 class GetSpecRequest(_message.Message):
     """Request for a model's spec."""
@@ -158,10 +182,15 @@ class ActRequest(_message.Message):
     GOAL_FIELD_NUMBER: _builtins.int
     STATE_FIELD_NUMBER: _builtins.int
     MAX_STEPS_PER_GOAL_FIELD_NUMBER: _builtins.int
+    RESIZE_FIELD_NUMBER: _builtins.int
     state: _builtins.bytes
     """`state` of the previous reply; empty at the start."""
     max_steps_per_goal: _builtins.int
     """Control steps after which a goal is abandoned for the next one; 0 for the model's own limit."""
+    resize: Global___Resize.ValueType
+    """How images of another size than the model's are made to fit, those of the goal, too. Unset: they are refused. A policy
+    sees best what it was trained on: fit, if its images were made so.
+    """
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
         """Model; unset for the active version of the default one."""
@@ -189,12 +218,15 @@ class ActRequest(_message.Message):
         goal: _common_pb2.Goal | None = ...,
         state: _builtins.bytes = ...,
         max_steps_per_goal: _builtins.int = ...,
+        resize: Global___Resize.ValueType | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["executed_actions", b"executed_actions", "goal", b"goal", "model", b"model", "observation", b"observation"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_resize", b"_resize", "executed_actions", b"executed_actions", "goal", b"goal", "model", b"model", "observation", b"observation", "resize", b"resize"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["executed_actions", b"executed_actions", "goal", b"goal", "max_steps_per_goal", b"max_steps_per_goal", "model", b"model", "observation", b"observation", "state", b"state"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_resize", b"_resize", "executed_actions", b"executed_actions", "goal", b"goal", "max_steps_per_goal", b"max_steps_per_goal", "model", b"model", "observation", b"observation", "resize", b"resize", "state", b"state"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__resize: _TypeAlias = _typing.Literal["resize"]  # noqa: Y015
+    _WhichOneofArgType__resize: _TypeAlias = _typing.Literal["_resize", b"_resize"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__resize) -> _WhichOneofReturnType__resize | None: ...
 
 Global___ActRequest: _TypeAlias = ActRequest  # noqa: Y015
 
@@ -213,6 +245,7 @@ class ActResponse(_message.Message):
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
     IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
+    RESIZED_FIELD_NUMBER: _builtins.int
     goal_reached: _builtins.bool
     """Whether every goal was reached. Unset where the policy does not predict it: language policies."""
     goal_confidence: _builtins.float
@@ -227,6 +260,8 @@ class ActResponse(_message.Message):
     """How much the observation is like held-out ones, in [0, 1]: the share of these that were no more familiar. Below 0.03
     it is probably unlike what the model was fitted on.
     """
+    resized: _builtins.bool
+    """Whether an image of the observation or of the goal was resized."""
     @_builtins.property
     def actions(self) -> _common_pb2.Tensor:
         """FP32 (K, A) in [-1, 1] or INT64 (K, 1); K = 0 when all goals are over: hold."""
@@ -251,10 +286,11 @@ class ActResponse(_message.Message):
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
         in_distribution: _builtins.float = ...,
+        resized: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_reached", b"goal_reached", "model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "model", b"model", "state", b"state", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "model", b"model", "resized", b"resized", "state", b"state", "timing", b"timing"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__goal_reached: _TypeAlias = _typing.Literal["goal_reached"]  # noqa: Y015
     _WhichOneofArgType__goal_reached: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached"]  # noqa: Y015
@@ -356,6 +392,7 @@ class Hello(_message.Message):
     STATE_FIELD_NUMBER: _builtins.int
     MAX_STEPS_PER_GOAL_FIELD_NUMBER: _builtins.int
     VALID_FOR_S_FIELD_NUMBER: _builtins.int
+    RESIZE_FIELD_NUMBER: _builtins.int
     control_dt_s: _builtins.float
     """Time between two actions of the robot, in seconds."""
     state: _builtins.bytes
@@ -364,6 +401,8 @@ class Hello(_message.Message):
     """Control steps after which a goal is abandoned for the next one; 0 for the model's own limit."""
     valid_for_s: _builtins.float
     """Longest age of an observation whose actions may be executed, in seconds; 0 for two control steps beyond the chunk."""
+    resize: Global___Resize.ValueType
+    """As in ActRequest; the sizes of `cameras` may then be others than the model's."""
     @_builtins.property
     def model(self) -> _common_pb2.ModelRef:
         """Model; unset for the active version of the default one. The stream keeps its version."""
@@ -391,12 +430,15 @@ class Hello(_message.Message):
         state: _builtins.bytes = ...,
         max_steps_per_goal: _builtins.int = ...,
         valid_for_s: _builtins.float = ...,
+        resize: Global___Resize.ValueType | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "goal", b"goal", "model", b"model"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_resize", b"_resize", "action", b"action", "goal", b"goal", "model", b"model", "resize", b"resize"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "control_dt_s", b"control_dt_s", "goal", b"goal", "max_steps_per_goal", b"max_steps_per_goal", "model", b"model", "state", b"state", "valid_for_s", b"valid_for_s"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_resize", b"_resize", "action", b"action", "cameras", b"cameras", "control_dt_s", b"control_dt_s", "goal", b"goal", "max_steps_per_goal", b"max_steps_per_goal", "model", b"model", "resize", b"resize", "state", b"state", "valid_for_s", b"valid_for_s"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__resize: _TypeAlias = _typing.Literal["resize"]  # noqa: Y015
+    _WhichOneofArgType__resize: _TypeAlias = _typing.Literal["_resize", b"_resize"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__resize) -> _WhichOneofReturnType__resize | None: ...
 
 Global___Hello: _TypeAlias = Hello  # noqa: Y015
 
@@ -501,6 +543,7 @@ class Chunk(_message.Message):
     DROPPED_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
     IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
+    RESIZED_FIELD_NUMBER: _builtins.int
     goal_reached: _builtins.bool
     """As in ActResponse."""
     goal_confidence: _builtins.float
@@ -518,6 +561,8 @@ class Chunk(_message.Message):
     dropped: _builtins.int
     """Observations of this stream so far that a newer one replaced."""
     in_distribution: _builtins.float
+    """As in ActResponse."""
+    resized: _builtins.bool
     """As in ActResponse."""
     @_builtins.property
     def actions(self) -> _common_pb2.Tensor:
@@ -541,10 +586,11 @@ class Chunk(_message.Message):
         dropped: _builtins.int = ...,
         timing: _common_pb2.Timing | None = ...,
         in_distribution: _builtins.float = ...,
+        resized: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_reached", b"goal_reached", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "dropped", b"dropped", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "observation_time_ns", b"observation_time_ns", "state", b"state", "timing", b"timing", "valid_until_ns", b"valid_until_ns"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "dropped", b"dropped", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "observation_time_ns", b"observation_time_ns", "resized", b"resized", "state", b"state", "timing", b"timing", "valid_until_ns", b"valid_until_ns"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__goal_reached: _TypeAlias = _typing.Literal["goal_reached"]  # noqa: Y015
     _WhichOneofArgType__goal_reached: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached"]  # noqa: Y015
