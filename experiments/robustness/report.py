@@ -7,7 +7,8 @@ from types import MappingProxyType
 
 from experiments.robustness import policies, scenes, speed, visited_states, wordings
 from experiments.robustness.heat_map import heat_map
-from experiments.robustness.targets import BASELINE, OURS, Made, make_claims, processor_of, samples_of
+from experiments.robustness.made_claims import Made, make_claims, processor_of, samples_of
+from experiments.robustness.targets import BASELINE, OURS
 from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, SCATTERED, conditions
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.workbench import claims

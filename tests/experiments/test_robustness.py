@@ -7,7 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiments import registry
-from experiments.robustness import confidence, draw, reward, scenes, segmentation, targets, wordings, worlds
+from experiments.robustness import (
+    confidence,
+    draw,
+    made_claims,
+    reward,
+    scenes,
+    segmentation,
+    targets,
+    wordings,
+    worlds,
+)
 from experiments.robustness.confidence import Answers
 from experiments.robustness.draw import Demonstrations, Exploration, Scenes
 from experiments.robustness.heat_map import heat_map
@@ -126,14 +136,14 @@ def test_wordings_of_a_class_differ_from_the_trained_ones() -> None:
 
 def test_a_claim_is_the_worst_of_its_conditions() -> None:
     light = {"light-0.6.frame_accuracy": 0.93, "light-0.8.frame_accuracy": 0.91}
-    (made,) = targets.make_claims(results("blocks", light), [claim_named("seg_light")])
+    (made,) = made_claims.make_claims(results("blocks", light), [claim_named("seg_light")])
     assert (made.claim.value, made.claim.target, made.claim.met) == (91.0, 92, False)
     assert made.worst == "light-0.8.frame_accuracy"
 
 
 @pytest.mark.parametrize(("value", "met"), [(0.05, True), (0.051, False)])
 def test_where_smaller_is_better_a_claim_must_not_exceed_its_target(value: float, met: bool) -> None:
-    (made,) = targets.make_claims(
+    (made,) = made_claims.make_claims(
         results("blocks", {confidence.FLAGGED_SHARE: value}), [claim_named("seg_in_distribution_flagged")]
     )
     assert made.claim.met is met
@@ -144,7 +154,7 @@ def test_where_smaller_is_better_a_claim_must_not_exceed_its_target(value: float
 def test_precision_counts_at_the_recall_that_it_needs_over_all_policies(recall: float, met: bool) -> None:
     one, other = visited("blocks.a", recall=recall, wrong=0), visited("blocks.b", recall=recall, wrong=0.01)
     wanted = [claim_named("reward_precision"), claim_named("reward_recall")]
-    precision, _ = targets.make_claims([*one, *other], wanted)
+    precision, _ = made_claims.make_claims([*one, *other], wanted)
     assert (precision.claim.seeds, precision.claim.trials) == (3, 8)
     assert precision.claim.value == pytest.approx(0.4 * recall / (0.4 * recall + 0.6 * 0.005), abs=1e-4)
     assert precision.claim.met is met
@@ -174,7 +184,7 @@ def test_all_runs_of_a_speed_on_the_processor_with_most_of_them_count() -> None:
         )
         for run, (processor, rate) in enumerate(arms)
     ]
-    (speed,) = targets.make_claims(made, [claim_named("ppo_speed_held")])
+    (speed,) = made_claims.make_claims(made, [claim_named("ppo_speed_held")])
     assert (speed.claim.value, speed.claim.low, speed.claim.high, speed.claim.trials) == (7.0, 4.0, 9.0, 5)
     assert speed.worst == "fast"
 
