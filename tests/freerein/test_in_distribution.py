@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from freerein.learning.in_distribution import InDistribution
+from freerein.learning.in_distribution import CALIBRATED_FROM, InDistribution
 from freerein.types.segmentation import FLAGGED
 
 HELD_OUT = 4000
@@ -16,7 +16,7 @@ def fitted(*, features: int = 3, seed: int = 0) -> tuple[InDistribution, torch.T
     known, held_out = (torch.randn(HELD_OUT, features, generator=generator) @ mixing + 5 for _ in range(2))
     confidence = torch.rand(HELD_OUT, generator=generator)
     score = InDistribution(features)
-    score.fit(known, held_out, confidence)
+    score.fit(known, held_out, confidence, trajectories=100)
     return score, held_out, confidence
 
 
@@ -47,7 +47,7 @@ def test_distances_are_in_units_of_the_known_spread_in_every_direction() -> None
 
 def test_a_model_without_confidence_and_features_that_never_change_are_scored() -> None:
     score = InDistribution(2)
-    score.fit(torch.ones(10, 2), torch.ones(5, 2), torch.ones(5))
+    score.fit(torch.ones(10, 2), torch.ones(5, 2), torch.ones(5), trajectories=1)
     same, other = score(score.distance(torch.tensor([[1.0, 1.0], [1.0, 2.0]])), torch.ones(2))
     assert (same, other) == (1.0, 0.0)
 
@@ -55,3 +55,36 @@ def test_a_model_without_confidence_and_features_that_never_change_are_scored() 
 def test_until_it_is_fitted_every_score_is_one() -> None:
     score = InDistribution(2)
     assert score(score.distance(torch.randn(4, 2)), torch.rand(4)).tolist() == [1.0] * 4
+
+
+def of_trajectories(count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+    """Returns features and confidences of trajectories of 30 frames: most of what differs, differs between them."""
+    places, certainty = torch.randn(count, 1, 8, generator=generator), torch.rand(count, 1, generator=generator)
+    features = places + 0.3 * torch.randn(count, 30, 8, generator=generator)
+    confidence = (certainty + 0.1 * torch.rand(count, 30, generator=generator)).clamp(max=1)
+    return features.flatten(0, 1), confidence.flatten()
+
+
+@pytest.mark.parametrize("held_out", [1, 2, 4, 10, 20, 40])
+def test_at_most_a_twentieth_of_frames_like_those_held_out_is_flagged_however_few_they_are(held_out: int) -> None:
+    flagged, generator = [], torch.Generator().manual_seed(held_out)
+    for _ in range(40):
+        known, _ = of_trajectories(10 * held_out, generator)
+        score = InDistribution(8)
+        score.fit(known, *of_trajectories(held_out, generator), trajectories=held_out)
+        features, confidence = of_trajectories(50, generator)
+        flagged.append((score(score.distance(features), confidence) < FLAGGED).float().mean())
+        assert score(score.distance(100 * features), confidence).max() < FLAGGED
+    assert torch.stack(flagged).mean() <= 0.05
+
+
+def test_a_score_of_few_held_out_trajectories_says_that_it_is_not_calibrated() -> None:
+    generator = torch.Generator().manual_seed(0)
+    told = []
+    for held_out in (1, CALIBRATED_FROM - 1, CALIBRATED_FROM):
+        score = InDistribution(8)
+        score.fit(of_trajectories(20, generator)[0], *of_trajectories(held_out, generator), trajectories=held_out)
+        told.append(score.warnings)
+    assert "20 held-out trajectories, and there were 1." in told[0][0]
+    assert [len(each) for each in told] == [1, 1, 0]
+    assert InDistribution(8).warnings == ()

@@ -56,7 +56,9 @@ def goal_network(spec: GoalConditionedSpec) -> GoalConditionedNetwork:
     weights.initialise(made, generator=generator)
     frames = tensors(images(spec, 8))
     made.fit_normalisation(frames, generator=generator)
-    made.in_distribution.fit(image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8))
+    made.in_distribution.fit(
+        image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8), trajectories=8
+    )
     return made
 
 
@@ -65,7 +67,9 @@ def skills_network(spec: SkillsSpec) -> SkillsNetwork:
     weights.initialise(made, generator=generator)
     frames = tensors(images(spec, 8))
     made.fit_normalisation(frames, torch.ones(1, spec.action.size))
-    made.in_distribution.fit(image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8))
+    made.in_distribution.fit(
+        image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8), trajectories=8
+    )
     return made
 
 
@@ -74,7 +78,9 @@ def cloned_network(spec: SkillCloningSpec) -> SkillCloningNetwork:
     weights.initialise(made, generator=generator)
     frames = tensors(images(spec, 8))
     made.fit_normalisation(frames, torch.linspace(-1, 1, 8)[:, None].repeat(1, spec.action.size), generator=generator)
-    made.in_distribution.fit(image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8))
+    made.in_distribution.fit(
+        image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8), trajectories=8
+    )
     return made
 
 

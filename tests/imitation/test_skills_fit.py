@@ -56,5 +56,6 @@ def test_a_fit_leaves_skills_that_tell_whose_labels_they_are_from(data_dir: Path
     assert (policy.spec.skills, policy.spec.action, policy.spec.max_steps_per_goal) == (("pick", "push"), ACTION, 18)
     card = json.loads((folder / "card.json").read_text())
     assert card["labels"]["model"] == {"name": "segments", "version": "0123456789ab"}
-    (warning,) = card["warnings"]
+    warning, uncalibrated = card["warnings"]
+    assert "`in_distribution` could not be calibrated" in uncalibrated
     assert "must have `gripper` in its name; got dy, dz." in warning

@@ -11,6 +11,7 @@ from freerein.learning import weights
 from freerein.learning.fit import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
+from freerein.types.segmentation import FLAGGED
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.skills import SkillsPolicy
 from freerein_imitation.training.skill_segments import (
@@ -153,7 +154,7 @@ def test_where_an_object_goes_is_chosen_once(policy: SkillsPolicy) -> None:
     assert not np.allclose(policy.step(elsewhere, goal, nothing, start).recurrent, chosen, atol=0.05)
 
 
-def test_held_out_frames_have_every_in_distribution_score_alike_and_noise_has_low_ones(policy: SkillsPolicy) -> None:
+def test_few_frames_like_those_of_the_fit_have_low_in_distribution_scores_and_noise_has(policy: SkillsPolicy) -> None:
     demonstrations, labels = demonstrate(60, seed=1)
     told: list[float] = []
     for item, skills in enumerate(labels):
@@ -167,10 +168,10 @@ def test_held_out_frames_have_every_in_distribution_score_alike_and_noise_has_lo
             output = policy.step({"front": frames[t : t + 1]}, goal, before[t : t + 1], recurrent)
             recurrent = output.recurrent
             told.append(float(output.in_distribution[0]))
-    assert np.abs(np.sort(told) - np.linspace(0, 1, len(told))).max() < 0.2
+    assert np.mean(np.array(told) < FLAGGED) <= 0.05
     noise = {"front": np.random.default_rng(0).integers(0, 256, (100, 8, SIDE, 3), np.uint8)}
     start = np.zeros((100, 1), np.float32), np.zeros((100, policy.spec.recurrent_size), np.float32)
-    assert policy.step(noise, policy.encode_goals(["to-red"] * 100), *start).in_distribution.max() < 0.05
+    assert policy.step(noise, policy.encode_goals(["to-red"] * 100), *start).in_distribution.max() < FLAGGED
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:

@@ -6,12 +6,13 @@ A method is one `Method`, registered by its name in the service's `Methods`. A f
 
 import json
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import torch
+from torch import nn
 
 from freerein.atomic_files import write_atomic
 from freerein.data.lookup import choose_cameras
@@ -21,6 +22,7 @@ from freerein.learning.config import parse
 from freerein.learning.fit import FitResult, Learner, fit_and_save
 from freerein.learning.fit_config import DatasetFitConfig, FitConfig
 from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.in_distribution import InDistribution
 from freerein.learning.model_files import choose_device, read_card, save_model
 from freerein.learning.train_state import N
 
@@ -110,7 +112,9 @@ class Methods(Generic[M_co]):
                 for file, data in method.files(learner).items():
                     write_atomic(model / file, data)
                 own = method.card(source, learner, fitted)
-                save_model(fitted.network, model, card=self._common_card(name, source, learner, fitted) | own)
+                warnings = {"warnings": [*own.get("warnings", []), *_uncalibrated(fitted.network)]}
+                card = self._common_card(name, source, learner, fitted) | own | warnings
+                save_model(fitted.network, model, card=card)
 
             return fit_and_save(learner, folder, save)
 
@@ -168,6 +172,13 @@ class Methods(Generic[M_co]):
             if value != each.default:
                 given[each.name] = value if isinstance(value, str) else json.dumps(value)
         return "".join(f" --set {shlex.quote(f'{key}={text}')}" for key, text in given.items())
+
+
+def _uncalibrated(network: nn.Module) -> Iterator[str]:
+    """Yields a warning where few trajectories were held out for an in-distribution score."""
+    scores = [each for each in network.modules() if isinstance(each, InDistribution)]
+    if scores:
+        yield from scores[0].warnings
 
 
 def _without_actions(config: C, given: Mapping[str, Any]) -> C:

@@ -188,7 +188,8 @@ class GoalCloningLearner:
             reached.append(recognizer(each, each[np.minimum(ahead, len(each) - 1)]))
         held_out = trajectory_statistics(self.validation).to(self.device)
         known = sampled_statistics(self.training).to(self.device)
-        network.in_distribution.fit(known, held_out, confidence(torch.cat(reached)))
+        trajectories = len(self.validation)
+        network.in_distribution.fit(known, held_out, confidence(torch.cat(reached)), trajectories=trajectories)
 
     def _validation_batches(self, rng: np.random.Generator) -> list[GoalWindows]:
         items = _windows(self.validation, self.config)

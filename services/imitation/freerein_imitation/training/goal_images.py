@@ -161,7 +161,8 @@ class GoalImagesLearner(Generic[N]):
             reached.append(proximity_logit(embeddings, goals).sigmoid())  # (T,)
         held_out = trajectory_statistics(self.validation).to(self.device)
         known = sampled_statistics(self.training).to(self.device)
-        network.in_distribution.fit(known, held_out, confidence(torch.cat(reached)))
+        trajectories = len(self.validation)
+        network.in_distribution.fit(known, held_out, confidence(torch.cat(reached)), trajectories=trajectories)
 
     def _losses(
         self, network: N, trajectories: Trajectories, items: Sequence[int], rng: np.random.Generator

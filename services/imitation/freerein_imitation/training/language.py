@@ -177,7 +177,10 @@ class LanguageLearner:
         shifted = self._shifted({camera: torch.from_numpy(each) for camera, each in sampled.items()}, generator)
         held_out = trajectory_statistics(self.validation.trajectories).to(self.device)
         network.in_distribution.fit(
-            image_statistics(shifted).to(self.device), held_out, held_out.new_ones(len(held_out))
+            image_statistics(shifted).to(self.device),
+            held_out,
+            held_out.new_ones(len(held_out)),
+            trajectories=len(self.validation.trajectories),
         )
 
     def _shifted(self, frames: FrameTensors, generator: torch.Generator) -> FrameTensors:

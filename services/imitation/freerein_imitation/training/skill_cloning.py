@@ -203,8 +203,14 @@ class SkillCloningLearner:
         reached = torch.cat([each[: seg.stop - seg.start] for each, seg in zip(ends, self.held_out, strict=True)])
         felt = self._calibrate_robot_state(network) if self.spans.robot_states else None
         network.in_distribution.fit(
-            known.to(self.device), torch.cat(statistics).to(self.device), network.confidence(reached, felt)
+            known.to(self.device),
+            torch.cat(statistics).to(self.device),
+            network.confidence(reached, felt),
+            trajectories=self._held_out_trajectories(),
         )
+
+    def _held_out_trajectories(self) -> int:
+        return len({each.trajectory for each in self.held_out})
 
     def _calibrate_robot_state(self, network: SkillCloningNetwork) -> Tensor:
         """Fits the score of the robot's state; returns the states of held-out segments, float32 (N, S)."""
@@ -214,7 +220,10 @@ class SkillCloningLearner:
             np.concatenate([states[each.trajectory][each.start : each.stop] for each in self.held_out])
         )
         network.robot_state_in_distribution.fit(
-            network.standardised(known), network.standardised(held_out), torch.ones(len(held_out), device=self.device)
+            network.standardised(known),
+            network.standardised(held_out),
+            torch.ones(len(held_out), device=self.device),
+            trajectories=self._held_out_trajectories(),
         )
         return held_out
 

@@ -257,7 +257,10 @@ class SkillsLearner:
             parts.append(image_statistics(self._frames(inside.trajectory, inside.timestep)))
             terminations.append(self._predict(network, inside)[1])
         reached = torch.cat(terminations).sigmoid()
-        network.in_distribution.fit(known.to(self.device), torch.cat(parts), confidence(reached))
+        trajectories = len(np.unique(self.validation.trajectory))
+        network.in_distribution.fit(
+            known.to(self.device), torch.cat(parts), confidence(reached), trajectories=trajectories
+        )
 
     @property
     def _shown(self) -> list[int]:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from freerein.errors import InvalidInput
@@ -11,6 +12,7 @@ from freerein.goal_text import MAX_UNKNOWN_CHARACTERS, bare_words, rival_caption
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
+from freerein.learning.split import train_validation_split
 from freerein_reward.model import KNOWN, DualEncoder, GradCamModel, load_grounding, load_reward_model
 from freerein_reward.training import (
     RewardConfig,
@@ -72,8 +74,11 @@ def _prepare(
     images = caption_images(dataset, model, config, captions / f"captions-{grounding.name}.safetensors")
     check_shown(images.views[0], config.phrases, model)
     training, validation = images.split(dataset.lengths, fraction=config.validation_fraction, seed=config.seed)
+    _, held_out = train_validation_split(np.arange(len(dataset)), fraction=config.validation_fraction, seed=config.seed)
     fingerprint = f"{dataset.fingerprint} {grounding.name}"
-    return RewardModelLearner(config, spec, training, validation, model, grounding.name, fingerprint, device)
+    return RewardModelLearner(
+        config, spec, training, validation, model, grounding.name, fingerprint, device, len(held_out)
+    )
 
 
 def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[DualEncoder]) -> dict[str, Any]:

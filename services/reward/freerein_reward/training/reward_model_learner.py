@@ -35,7 +35,11 @@ _HEAT_FLOOR = 0.5
 
 @dataclass(frozen=True, eq=False)
 class RewardModelLearner:
-    """A `freerein.learning.fit.Learner` of a dual encoder of relations, initialised from `grounding`."""
+    """A `freerein.learning.fit.Learner` of a dual encoder of relations, initialised from `grounding`.
+
+    Attributes:
+        held_out_trajectories: Those that validation images are from; 0 where each shows a scene of its own.
+    """
 
     config: RewardConfig
     spec: DualEncoderSpec
@@ -45,6 +49,7 @@ class RewardModelLearner:
     grounding_version: str
     fingerprint: str
     device: torch.device
+    held_out_trajectories: int = 0
 
     @property
     def size(self) -> int:
@@ -90,8 +95,8 @@ class RewardModelLearner:
         if network.in_distribution is None:
             raise TypeError("This network has no in-distribution score; expected a model of relations.")
         known_views = view_statistics(_stacked_views(known))
-        parts = (known_views, held_out, confidence.flatten())
-        network.in_distribution.fit(*(each.to(self.device) for each in parts))
+        parts = (each.to(self.device) for each in (known_views, held_out, confidence.flatten()))
+        network.in_distribution.fit(*parts, trajectories=self.held_out_trajectories or len(self.validation))
 
     def _mirror(self, batch: CaptionDataset, state: State) -> CaptionDataset:
         """Returns the batch with half of the images mirrored; not with several views, which would not fit together."""

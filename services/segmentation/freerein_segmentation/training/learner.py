@@ -131,7 +131,9 @@ class SegmentationLearner:
             scores, mask = network(batch.frames, batch.actions, batch.lengths)
             held_out.append(image_statistics(batch.frames))
             confidence.append(scores[mask].softmax(dim=1).amax(dim=1))
-        network.in_distribution.fit(image_statistics(frames), torch.cat(held_out), torch.cat(confidence))
+        network.in_distribution.fit(
+            image_statistics(frames), torch.cat(held_out), torch.cat(confidence), trajectories=len(self.validation)
+        )
 
     @torch.no_grad()
     def tag_average_precision(self, network: SegmentationNetwork) -> dict[str, dict[str, float]]:
