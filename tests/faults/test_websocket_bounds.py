@@ -63,13 +63,14 @@ class Client(asyncio.Transport):
         heard: All that the service has sent.
         is_read: Whether the service reads.
         closed: Set when the service has closed the connection.
+        aborted: Set when it has closed it whether or not all was read.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.heard = b""
         self.is_read = True
-        self.closed = asyncio.Event()
+        self.closed, self.aborted = asyncio.Event(), asyncio.Event()
 
     def write(self, data: Any) -> None:
         self.heard += bytes(data)
@@ -86,7 +87,9 @@ class Client(asyncio.Transport):
     def close(self) -> None:
         self.closed.set()
 
-    abort = close
+    def abort(self) -> None:
+        self.closed.set()
+        self.aborted.set()
 
     async def hears(self, words: bytes) -> None:
         """Returns once the service has said this."""
@@ -271,11 +274,11 @@ async def test_whatever_arrives_is_a_sign_of_life(sent: bytes) -> None:
 
 @pytest.mark.fault("I21")
 async def test_a_reply_that_is_never_read_ends_its_connection() -> None:
-    limits = replace(LIMITS, write_s=0.1)
+    limits = replace(LIMITS, write_s=0.1, ping_s=600.0)
     async with Service(limits).connection() as (protocol, client):
         protocol.pause_writing()
         protocol.data_received(frame(BINARY, b"x"))
-        await asyncio.wait_for(client.closed.wait(), 60)
+        await asyncio.wait_for(client.aborted.wait(), 60)
 
 
 @pytest.mark.fault("I20")
