@@ -2,22 +2,30 @@
 
 import asyncio
 import io
+import shlex
 from collections.abc import AsyncGenerator
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from rich.console import Console
+from typer.testing import CliRunner
 
+from freerein.cli.__main__ import app
 from freerein.cli.jobs.display import draw
+from freerein.cli.jobs.ids import whole_id
+from freerein.cli.jobs.next_steps import after_fit, after_run
 from freerein.cli.jobs.options import configuration
 from freerein.cli.jobs.progress import JobProgress, by_relevance
 from freerein.cli.jobs.streams import reconnecting
 from freerein.cli.jobs.terminal_plot import plot
 from freerein.cli.output import ago
 from freerein.errors import InvalidInput, Unavailable
+from freerein.types.common import ModelRef
 from freerein.types.jobs import MetricRow
-from freerein.types.orchestrator import Run
+from freerein.types.learning import Fit
+from freerein.types.orchestrator import Run, RunKind
 
 TIMEOUT_S = 0.1
 _RUN = Run("0" * 32, "running", {}, step=0, steps=10, kind="ppo")
@@ -133,3 +141,32 @@ def test_a_configuration_file_that_is_not_there_is_refused_by_its_path(tmp_path:
         configuration(None, tmp_path / "missing.json")
     assert refused.value.field == "config"
     assert "--set" in refused.value.hint
+
+
+def test_an_id_may_be_given_by_its_first_digits_or_a_readable_name() -> None:
+    ids = ["8bc1f7" + "0" * 26, "a" * 32]
+    assert whole_id("8bc", ids, list_command="") == ids[0]
+    assert whole_id("ppo-yellow-left-of-green-8bc1f7", ids, list_command="") == ids[0]
+    for given in ("", "ppo-", "ppo-yellow-left-of-green", "ppo-9bc1f7"):
+        with pytest.raises(InvalidInput):
+            whole_id(given, ids, list_command="")
+
+
+@pytest.mark.parametrize("kind", get_args(RunKind))
+def test_every_kind_of_run_says_what_to_do_next(kind: RunKind) -> None:
+    names = {"task": "grid", "dataset": "mine", "model_name": "words", "iterations": 92}
+    config = {**names, "service": "reward", "config": {"method": "language"}}
+    commands = [shlex.split(each, comments=True) for each in after_run(replace(_RUN, kind=kind, config=config))]
+    assert commands
+    assert all(_parses(words) for words in commands)
+
+
+@pytest.mark.parametrize("service", ["segmentation", "imitation", "reward"])
+def test_every_fit_says_what_to_do_next(service: str) -> None:
+    fit = Fit("0" * 32, "succeeded", {"method": "skills"}, dataset="mine", model_name="own", model=ModelRef("own", "1"))
+    assert all(_parses(shlex.split(each, comments=True)) for each in after_fit(service, fit))
+
+
+def _parses(words: list[str]) -> bool:
+    """Returns whether there is such a command with such options."""
+    return words[0] == "freerein" and CliRunner().invoke(app, [*words[1:], "--help"]).exit_code == 0

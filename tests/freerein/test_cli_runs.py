@@ -100,8 +100,8 @@ def test_a_run_is_watched_line_by_line_to_its_end() -> None:
     assert queued_at <= ended_at
     assert lines[0].endswith(f" run {run_id[:8]} queued 0/3")
     assert f" run {run_id[:8]} succeeded 3/3 timesteps=" in lines[-3]
-    _, kind, state, *since, steps, _ = lines[-1].split()
-    assert (kind, state, since[-1], steps) == ("collect", "succeeded", "ago", "3/3")
+    _, name, state, *since, steps, _ = lines[-1].split()
+    assert (name, state, since[-1], steps) == ("collect-few", "succeeded", "ago", "3/3")
 
 
 def test_watching_it_again_tells_the_same_story() -> None:

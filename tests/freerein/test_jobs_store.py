@@ -6,6 +6,8 @@ import resource
 import shutil
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,6 +15,7 @@ from freerein import wire
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.jobs.json_lines import LineReader, append, last_document
 from freerein.jobs.metrics import MetricsWriter
+from freerein.jobs.names import job_name
 from freerein.jobs.store import JobEvent, JobStore
 from freerein.types.jobs import JobMetrics
 from freerein.types.orchestrator import ListRunsResponse, Run
@@ -288,3 +291,37 @@ def test_lines_of_many_reads_are_passed_over_but_for_the_last(tmp_path, count, s
     reader = LineReader(path)
     assert reader.skip(count) == skipped
     assert reader.read()[0]["line"] == skipped
+
+
+@pytest.mark.parametrize(
+    ("kind", "config", "name"),
+    [
+        ("ppo", {"task": "blocks.yellow-left-of-green"}, "ppo-yellow-left-of-green"),
+        ("ppo", {"task": "../../etc/x"}, "ppo-etc-x"),
+        ("evaluate", {"task": "grid", "policy": "random"}, "evaluate-grid"),
+        ("collect", {"task": "grid", "dataset": "mine.v2"}, "collect-mine-v2"),
+        ("distill", {"dataset": "", "model_name": "words"}, "distill-words"),
+        ("pipeline", {"steps": []}, "pipeline"),
+        ("segmentation", {"dataset": "x" * 64, "model_name": "default"}, f"segmentation-{'x' * 48}"),
+    ],
+)
+def test_a_job_has_a_readable_name(kind: str, config: dict[str, Any], name: str) -> None:
+    assert job_name(kind, config) == name
+
+
+def test_jobs_are_found_by_readable_names_and_links_of_deleted_ones_go(tmp_path: Path) -> None:
+    links = tmp_path / "named"
+    runs = JobStore(tmp_path / "runs", noun="run", links=links)
+    fits = JobStore(tmp_path / "fits" / "reward", noun="fit", links=links)
+    request = {"idempotency_key": "", "kind": "ppo", "config": {}}
+    deleted, kept = (runs.create(request, {"kind": "ppo", "config": {"task": f"grid.{name}"}}) for name in "ab")
+    shutil.rmtree(runs.folder(deleted))
+    fit = fits.create({"idempotency_key": "", "dataset": "mine"}, {"dataset": "mine", "config": {}})
+    found = {link.name: link.resolve() for link in links.iterdir()}
+    assert found == {f"ppo-b-{kept[:6]}": runs.folder(kept), f"reward-mine-{fit[:6]}": fits.folder(fit)}
+
+
+def test_a_job_is_made_where_no_link_can_be(tmp_path: Path) -> None:
+    (tmp_path / "named").write_text("in the way")
+    runs = JobStore(tmp_path / "runs", noun="run", links=tmp_path / "named")
+    assert runs.exists(runs.create({"idempotency_key": "a"}, {"kind": "ppo", "config": {}}))

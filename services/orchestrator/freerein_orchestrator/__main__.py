@@ -9,6 +9,7 @@ from typing import Any
 from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.fork_server import ForkServer, StartChild, spawn
 from freerein.jobs.attempt import AttemptRunner
+from freerein.jobs.names import LINKS
 from freerein.jobs.store import JobStore
 from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 from freerein.serving.health import Health
@@ -36,7 +37,7 @@ def build(
 ) -> Service:
     """Returns the service."""
     folder = settings.data_dir / "runs"
-    store = JobStore(folder, noun="run")
+    store = JobStore(folder, noun="run", links=settings.data_dir / LINKS)
     runner = AttemptRunner(
         store,
         module="freerein_orchestrator.runs",

@@ -33,6 +33,7 @@ from freerein.atomic_files import make_folder, write_atomic
 from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.jobs.json_lines import LineReader, append, last_document
 from freerein.jobs.metrics import read_metrics
+from freerein.jobs.names import job_name, link_by_name
 from freerein.jobs.wall_clock import now_ns
 from freerein.types.common import ModelRef, check_id, check_name
 from freerein.types.jobs import ENDED, JobMetrics, JobState, MetricRow
@@ -69,10 +70,14 @@ class JobStore:
         root: The folder.
         noun: What a job is called in errors: `fit` or `run`.
         clock_ns: Returns the Unix time in nanoseconds, the time of events.
+        links: Folder of links to the jobs by readable names; None for none.
     """
 
-    def __init__(self, root: Path, *, noun: str, clock_ns: Callable[[], int] = now_ns) -> None:
+    def __init__(
+        self, root: Path, *, noun: str, clock_ns: Callable[[], int] = now_ns, links: Path | None = None
+    ) -> None:
         self._root = root
+        self._links = links
         self.noun = noun
         self._clock_ns = clock_ns
 
@@ -100,6 +105,8 @@ class JobStore:
                     if not self.exists(job_id):
                         shutil.rmtree(folder, ignore_errors=True)
                     raise
+                if self._links is not None:
+                    link_by_name(self._links, folder, self._name(config))
         return job_id
 
     def find(self, request: Mapping[str, Any]) -> str | None:
@@ -255,6 +262,10 @@ class JobStore:
         if not path.is_file():
             raise NotFound(f"The {self.noun} has no artifact of this name.", field="name", hint="List its artifacts.")
         return path
+
+    def _name(self, config: Mapping[str, Any]) -> str:
+        """Returns the readable name of a job; that of a fit is of its service, whose folder this is."""
+        return job_name(config["kind"], config["config"]) if "kind" in config else job_name(self._root.name, config)
 
     def _reader(self, job_id: str) -> LineReader:
         return LineReader(self.folder(job_id) / "events.jsonl")

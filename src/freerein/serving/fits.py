@@ -38,6 +38,7 @@ class FitService:
             InvalidInput or NotFound for what cannot be fitted.
         health: Ends streams and stops the child on drain.
         start_child: Starts the child process.
+        links: Folder of links to the fits by readable names; None for none.
     """
 
     def __init__(
@@ -51,8 +52,9 @@ class FitService:
         resolve: Resolve,
         health: Health,
         start_child: StartChild = spawn,
+        links: Path | None = None,
     ) -> None:
-        self._jobs = JobStore(folder, noun="fit")
+        self._jobs = JobStore(folder, noun="fit", links=links)
         runner = AttemptRunner(self._jobs, module=module, arguments=arguments, start_child=start_child)
         self._queue = LocalQueue(self._jobs, runner, publish=self._publish)
         self._store = store

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from freerein.api.learning.v1 import learning_pb2
 from freerein.fork_server import StartChild, spawn
+from freerein.jobs.names import LINKS
 from freerein.serving.batcher import Batcher
 from freerein.serving.fits import FitService
 from freerein.serving.health import Health
@@ -73,6 +74,7 @@ def learned_service(
         resolve=lambda dataset, config: resolve(settings.data_dir, dataset, config, threads=settings.train_threads),
         health=health,
         start_child=start_child,
+        links=settings.data_dir / LINKS,
     )
 
     async def start() -> None:

@@ -14,6 +14,7 @@ from freerein.cli.connection import call, call_each, check_all_answer, check_onl
 from freerein.cli.jobs import display, fit_report
 from freerein.cli.jobs.display import check_succeeded
 from freerein.cli.jobs.ids import ID_DIGITS, whole_id
+from freerein.cli.jobs.next_steps import after_fit, say_next_steps
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_fit
@@ -279,6 +280,7 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
             _report(fit.id, as_json=False)
         else:
             _show_warnings(_card(service, fit))
+        say_next_steps(after_fit(service, fit))
 
 
 def _show(fits: Sequence[tuple[str, Fit]], *, as_json: bool) -> None:

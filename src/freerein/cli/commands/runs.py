@@ -14,6 +14,7 @@ from freerein.atomic_files import TEMP_SUFFIX
 from freerein.cli.connection import call
 from freerein.cli.jobs import display
 from freerein.cli.jobs.ids import ID_DIGITS, whole_id
+from freerein.cli.jobs.next_steps import after_run, say_next_steps
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_run
@@ -21,6 +22,7 @@ from freerein.cli.output import AsJson, ago, command, print_json, show_all
 from freerein.clients import OrchestratorClient
 from freerein.errors import InvalidInput
 from freerein.jobs import wall_clock
+from freerein.jobs.names import job_name
 from freerein.types.jobs import MetricRow
 from freerein.types.orchestrator import (
     CancelRunRequest,
@@ -211,6 +213,7 @@ def _watch(run_id: str, *, metrics: Sequence[str] | None = None, as_json: bool) 
     )
     if not as_json:
         _show([run], as_json=False)
+        say_next_steps(after_run(run))
 
 
 def _ask(use: Callable[[OrchestratorClient], Awaitable[T]]) -> T:
@@ -222,7 +225,7 @@ def _show(runs: Sequence[Run], *, as_json: bool) -> None:
     rows = (
         (
             run.id,
-            run.kind,
+            job_name(run.kind, run.config),
             run.state,
             ago(run.time_ns, now_ns=now_ns),
             steps_text(run),
@@ -232,7 +235,7 @@ def _show(runs: Sequence[Run], *, as_json: bool) -> None:
         for run in runs
     )
     show_all(
-        ("run", "kind", "state", "changed", "steps", "model", "metrics"), rows, map(wire.to_json, runs), as_json=as_json
+        ("run", "name", "state", "changed", "steps", "model", "metrics"), rows, map(wire.to_json, runs), as_json=as_json
     )
 
 

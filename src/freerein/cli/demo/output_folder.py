@@ -8,7 +8,7 @@ from freerein.errors import FailedPrecondition, InvalidInput
 MARKER = ".freerein-demo"
 """Marker file: the next demo may empty this folder."""
 
-_SERVICE_FOLDERS = ("datasets", "fits", "logs", "models", "runs")
+_SERVICE_FOLDERS = ("datasets", "fits", "logs", "models", "named", "runs")
 
 
 def prepare(out: Path, *, keep: Path | None) -> None:

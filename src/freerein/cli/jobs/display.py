@@ -85,7 +85,10 @@ def check_succeeded(name: str, job: Job) -> None:
     """Raises FailedPrecondition when a job that has ended did not succeed."""
     if job.state != "succeeded":
         sentence = f"The {name} must succeed; its state is {job.state}. {job.error}".rstrip()
-        raise FailedPrecondition(sentence, hint="Its log.txt in the data directory says more.")
+        resume = f"freerein {'fit' if isinstance(job, Fit) else 'runs'} resume {job.id}"
+        raise FailedPrecondition(
+            sentence, hint=f"Its log.txt in the data directory says more; `{resume}` goes on from its last checkpoint."
+        )
 
 
 @contextmanager

@@ -8,8 +8,12 @@ ID_DIGITS = 32
 
 
 def whole_id(given: str, ids: Sequence[str], *, list_command: str) -> str:
-    """Returns the one id that begins with the digits given; raises InvalidInput where none or several do."""
-    found = [each for each in ids if given and each.startswith(given)]
+    """Returns the one id that begins with the digits given, or with those at the end of a readable name.
+
+    Raises InvalidInput where none or several do.
+    """
+    digits = given.rpartition("-")[2]
+    found = [each for each in ids if digits and each.startswith(digits)]
     if len(found) != 1:
         raise InvalidInput(
             f"An id of {ID_DIGITS} digits, or its first ones, must be given; {len(found)} ids begin so.",

@@ -1,0 +1,69 @@
+"""What people do with a fit or run that has succeeded: commands, with its own names filled in."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import typer
+
+from freerein.types.common import ModelRef
+from freerein.types.learning import Fit
+from freerein.types.orchestrator import Run
+
+_GOALS = {"skills": "--recipe SKILL", "skill_cloning": "--recipe SKILL", "language": "--goal-text 'TEXT'"}
+"""How a model of the imitation service is given its goal, by its method; a goal image by default."""
+
+
+def say_next_steps(commands: Sequence[str]) -> None:
+    """Prints commands on stderr, beside the job itself on stdout."""
+    typer.echo("\n".join(["What next:", *(f"  {command}" for command in commands)]), err=True)
+
+
+def after_fit(service: str, fit: Fit) -> list[str]:
+    """Returns commands for a fit's model."""
+    return _with_model(service, fit.model or ModelRef(fit.model_name), fit.dataset, fit.config)
+
+
+def after_run(run: Run) -> list[str]:
+    """Returns commands for what a run has made."""
+    config = run.config
+    match run.kind:
+        case "ppo":
+            return [
+                _evaluate(str(config["task"]), f'{{"run": "{run.id}"}}'),
+                f"freerein runs resume {run.id} --iterations {config['iterations']} --watch  # trains it on",
+                f"freerein models publish {run.id} --name NAME  # serves it by name",
+                f"freerein runs artifacts {run.id} policy.mp4  # shows what it does",
+            ]
+        case "collect":
+            name = config["dataset"]
+            return [f"freerein dataset check {name}", f"freerein fit segmentation {name} --watch"]
+        case "label":
+            return [f"freerein fit imitation {config['dataset']} --set method=skill_cloning --watch"]
+        case "fit":
+            model = run.model or ModelRef(str(config["model_name"]))
+            return _with_model(str(config["service"]), model, str(config["dataset"]), dict(config["config"]))
+        case "distill":
+            return [f"freerein act --model {config['model_name']} --image IMAGE.png --goal-text 'TEXT'"]
+        case _:
+            return [f"freerein runs artifacts {run.id}  # what it has made"]
+
+
+def _with_model(service: str, model: ModelRef, dataset: str, config: Mapping[str, Any]) -> list[str]:
+    match service:
+        case "segmentation":
+            return [
+                f"freerein segment {dataset} --model {model.name}",
+                f"freerein runs start label --set dataset={dataset} --set model={model.name} --watch  # all of it",
+            ]
+        case "imitation":
+            goal = _GOALS.get(str(config.get("method")), "--goal GOAL.png")
+            return [f"freerein act --model {model.name} --image IMAGE.png {goal}"]
+        case _:
+            return [
+                f"freerein reward IMAGE.png --goal 'TEXT' --model {model.name}",
+                f"freerein runs start ppo --set task=TASK --set reward_model={model.name} --watch  # learns from it",
+            ]
+
+
+def _evaluate(task: str, policy: str) -> str:
+    return f"freerein runs start evaluate --set task={task} --set 'policy={policy}' --watch"
