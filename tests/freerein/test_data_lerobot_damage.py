@@ -23,7 +23,7 @@ from tests.lerobot_dataset import (
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
-from freerein.data import Dataset, LeRobotOptions, LeRobotSource, import_trajectories, verify
+from freerein.data import Dataset, LeRobotOptions, LeRobotSource, import_trajectories, labels, verify
 from freerein.errors import InvalidInput, ServiceError
 
 
@@ -250,3 +250,29 @@ def test_files_of_ours_that_others_changed_are_parsed_like_a_request(root: Path,
     (root / name).write_text(text)
     with pytest.raises(InvalidInput):
         Dataset(root)
+
+
+@pytest.mark.parametrize("name", ["action", "episode_index", "frame_index"])
+@pytest.mark.parametrize(
+    "value", [None, "x", b"x", float("nan"), [], [[0.0]], {"a": 1}, [{"a": 1}], ["a"], 2**62, True], ids=str
+)
+def test_columns_of_another_kind_are_refused(root: Path, name: str, value: Any) -> None:
+    change(root / DATA.format(1), name, pa.array([value] * STEPS))
+    with pytest.raises(InvalidInput, match="Trajectory 1"):
+        _ = Dataset(root)[1]
+    assert [each.where for each in verify(root)] == ["trajectory 1"]
+
+
+def test_names_that_are_null_are_none(root: Path) -> None:
+    write_episodes(root, skills=[["a", None], [None], None], tasks=[[None], ["b", None], []])
+    assert Dataset(root).skills == (("a",), (), ())
+    assert Dataset(root).tasks == ((), ("b",), ())
+
+
+@pytest.mark.parametrize("name", [DATA.format(1), "labels/chunk-000/file-000.parquet"])
+def test_a_file_of_too_many_rows_is_refused_before_it_is_read(root: Path, name: str) -> None:
+    (root / name).parent.mkdir(parents=True, exist_ok=True)
+    rows = {each: pa.nulls(10_000_001, pa.int8()) for each in ("episode_index", "action", "label")}
+    pq.write_table(pa.table(rows), root / name, row_group_size=10_000_001)
+    with pytest.raises(InvalidInput, match="must be a whole file"):
+        _ = Dataset(root)[1] if name == DATA.format(1) else labels.labels(root, 0)

@@ -134,7 +134,8 @@ def _with_lists(table: pa.Table) -> pa.Table:
     for name in _LISTS:
         lists = table[name].to_pylist() if name in table.column_names else [None] * len(table)
         table = table.drop_columns([name] if name in table.column_names else [])
-        table = table.append_column(name, pa.array([each or [] for each in lists], strings))
+        texts = [[text for text in each or () if text is not None] for each in lists]
+        table = table.append_column(name, pa.array(texts, strings))
     return table
 
 

@@ -237,7 +237,14 @@ def corrupt_as_invalid(subject: str) -> Iterator[None]:
 def _flat(column: pa.ChunkedArray) -> pa.Array:
     """Returns the numbers of a column, of lists or of numbers, as one array."""
     joined = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
-    return joined.flatten() if pa.types.is_nested(joined.type) else joined
+    is_list = pa.types.is_list(joined.type) or pa.types.is_fixed_size_list(joined.type)
+    flat = joined.flatten() if is_list or pa.types.is_large_list(joined.type) else joined
+    if not (pa.types.is_integer(flat.type) or pa.types.is_floating(flat.type) or pa.types.is_boolean(flat.type)):
+        raise InvalidInput(
+            "A column of numbers must have numbers, or lists of them; this one has others.",
+            hint="Write the dataset again with LeRobot.",
+        )
+    return flat
 
 
 def _vectors(rows: pa.Table, key: str, size: int) -> npt.NDArray[Any]:
@@ -272,7 +279,8 @@ def _may_hold(parquet: pq.ParquetFile, group: int, index: int) -> bool:
 def _episode_range(parquet: pq.ParquetFile, group: int) -> tuple[float, float]:
     position = parquet.schema.names.index(_EPISODE)
     bounds = parquet.metadata.row_group(group).column(position).statistics
-    return (bounds.min, bounds.max) if bounds is not None and bounds.has_min_max else (-math.inf, math.inf)
+    is_known = bounds is not None and bounds.has_min_max and isinstance(bounds.min, int)
+    return (bounds.min, bounds.max) if is_known else (-math.inf, math.inf)
 
 
 def _index_columns(
