@@ -1,5 +1,7 @@
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from freerein_sim.worlds import bins, blocks, conformance, dial, grid, pendulum,
 from freerein_sim.worlds.conformance import experts, first_frames, interface, recipes
 from freerein_sim.worlds.recipes import RandomOrder
 from freerein_sim.worlds.replay import ReplayedWorld
-from freerein_sim.worlds.world import LabelledAction, TaskDefinition, skill_indices
+from freerein_sim.worlds.world import LabelledAction, TaskDefinition, WorldSpec, skill_indices
 
 REPLAYED = replace(grid.TASKS[0], name="replayed", make=lambda: ReplayedWorld(grid.GridWorld(indicator=True)))
 OURS = (*grid.TASKS, *blocks.TASKS, *pendulum.TASKS, *dial.TASKS, *bins.TASKS, *tabletop.TASKS)
@@ -61,6 +63,32 @@ def test_a_check_names_what_a_world_does_wrong() -> None:
 
     with pytest.raises(AssertionError, match=r"The world's spec is the task's\."):
         interface.describes_itself(mislabelled)
+
+
+class Inexpert(grid.GridWorld):
+    expert = None  # type: ignore[assignment]
+
+
+@pytest.mark.parametrize(
+    ("world", "change"),
+    [(Inexpert, {}), (Inexpert, {"has_expert": True}), (grid.GridWorld, {"skills": (), "has_expert": False})],
+)
+def test_a_spec_that_says_otherwise_than_the_world_whether_there_is_an_expert_is_found(
+    world: type[grid.GridWorld], change: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = replace(grid.SPEC, **change)
+    monkeypatch.setattr(world, "spec", spec)
+
+    with pytest.raises(AssertionError, match="is of a world with an expert"):
+        interface.describes_itself(TaskDefinition("wrong", "grid", "", spec, partial(world, indicator=True)))
+
+
+@pytest.mark.parametrize("task", OURS, ids=lambda task: task.name)
+def test_a_world_has_an_expert_where_it_has_skills(task: TaskDefinition) -> None:
+    left_out = {each.name: getattr(task.spec, each.name) for each in fields(task.spec) if each.name != "has_expert"}
+
+    assert WorldSpec(**left_out) == task.spec
+    assert task.describe().has_expert == bool(task.spec.skills)
 
 
 @pytest.mark.parametrize("task", HIDES_ITS_RECIPE)

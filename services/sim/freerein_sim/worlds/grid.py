@@ -57,7 +57,6 @@ SPEC = WorldSpec(
         "agent.column",
         *(f"{colour}.{axis}" for colour in COLOURS for axis in ("row", "column")),
     ),
-    has_expert=True,
     max_size=_HEIGHT,
 )
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -39,7 +39,7 @@ class WorldSpec:
         skills: Skills that the expert can execute; labels are indices into them. Empty for a task without an expert.
         max_episode_steps: Steps after which the caller truncates an episode, if it chooses no other number.
         state_names: Name of each number of the true state.
-        has_expert: Whether worlds of this spec have a scripted expert.
+        has_expert: Whether worlds of this spec have a scripted expert; left out, whether they have skills.
         max_size: Greatest frame height and width, in pixels.
         max_skills: Most skills of a recipe under the world's conditions; 0 for no other limit than the task's.
     """
@@ -50,9 +50,13 @@ class WorldSpec:
     skills: tuple[str, ...]
     max_episode_steps: int
     state_names: tuple[str, ...]
-    has_expert: bool = False
+    has_expert: bool = cast(bool, None)
     max_size: int = 320
     max_skills: int = field(default=0, repr=False)  # fingerprints of worlds hash the repr
+
+    def __post_init__(self) -> None:
+        if self.has_expert is None:
+            object.__setattr__(self, "has_expert", bool(self.skills))
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,6 @@ SPEC = WorldSpec(
         *(f"gripper.{part}" for part in ("x", "y", "z", "opening")),
         *(f"{each.name}.{part}" for each in GROCERIES for part in _POSE),
     ),
-    has_expert=True,
 )
 
 

@@ -54,7 +54,6 @@ def _spec(moved: tuple[str, ...], max_episode_steps: int) -> WorldSpec:
             "gripper.opening",
             *(f"{colour}.{part}" for colour in COLOURS for part in _POSE),
         ),
-        has_expert=bool(moved),
     )
 
 

@@ -63,6 +63,8 @@ class BlocksWorld:
         self._data = simulation.data
         self.snapshot, self.restore = simulation.snapshot, simulation.restore
         self.render, self.close = simulation.render, simulation.close
+        if not spec.has_expert:
+            self.expert = None  # type: ignore[method-assign, assignment]
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Draws the initial state. The blocks that a recipe names are on show; that is all its effect."""

@@ -25,6 +25,10 @@ def describes_itself(task: TaskDefinition) -> None:
     require(bool(action.choices) or len(action.scale) == action.size, "A continuous action has a scale.")
     with closing(task.make()) as world:
         require(world.spec == spec, "The world's spec is the task's.")
+        require(
+            (world.expert is not None) == spec.has_expert,
+            "A spec with skills, or with `has_expert`, is of a world with an expert, and one without is not.",
+        )
     require(task.describe().name == task.name, "A task describes itself.")
 
 

@@ -37,7 +37,6 @@ SPEC = WorldSpec(
         *(f"fingertip.{axis}" for axis in "xyz"),
         *(f"key-{digit}.depth" for digit in DIGITS),
     ),
-    has_expert=True,
 )
 
 

@@ -38,7 +38,6 @@ SPEC = WorldSpec(
     skills=(REACH, *TASK_SKILLS),
     max_episode_steps=100,
     state_names=STATE_NAMES,
-    has_expert=True,
 )
 
 
