@@ -194,6 +194,7 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
         super().__init__(
             network, spec, control, goal_form="text", training_texts=tuple(training_texts), predicts_reached=False
         )
+        self.spec.known_texts.read("")  # reads thousands of training texts here, and not on the event loop
         self._text_encoder = text_encoder
         self._reader = deepcopy(network.reader).cpu()
 
