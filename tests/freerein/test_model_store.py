@@ -181,7 +181,7 @@ async def test_a_call_that_names_no_active_model_is_told_which_are(
     publish("b", "inactive")
     with pytest.raises(FailedPrecondition) as error:
         await models.resolve(ModelRef())
-    assert error.value.hint == "Name one that is: x. Or fit one: freerein fit toy"
+    assert error.value.hint == "Name an active one: x. Or fit one: freerein fit toy"
 
 
 async def test_any_version_can_be_asked_for_by_name(publish: Publish, models: ModelCache[str]) -> None:

@@ -121,7 +121,7 @@ class ModelCache(Generic[M]):
     def _hint(self) -> str:
         """Returns how to name an active model, where there are some, or to fit one."""
         active = [name for name in self._store.names() if self._store.active_version(name)]
-        named = f"Name one that is: {', '.join(active[:_MAX_NAMED])}. Or fit" if active else "Fit"
+        named = f"Name an active one: {', '.join(active[:_MAX_NAMED])}. Or fit" if active else "Fit"
         return f"{named} one: {self._fit_command}"
 
     def _evict(self) -> None:
