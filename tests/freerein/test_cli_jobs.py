@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
 from freerein.cli.jobs.display import draw
-from freerein.cli.jobs.ids import whole_id
+from freerein.cli.jobs.ids import is_whole_id, whole_id
 from freerein.cli.jobs.next_steps import after_fit, after_run
 from freerein.cli.jobs.options import configuration
 from freerein.cli.jobs.progress import JobProgress, by_relevance
@@ -147,6 +147,8 @@ def test_an_id_may_be_given_by_its_first_digits_or_a_readable_name() -> None:
     ids = ["8bc1f7" + "0" * 26, "a" * 32]
     assert whole_id("8bc", ids, list_command="") == ids[0]
     assert whole_id("ppo-yellow-left-of-green-8bc1f7", ids, list_command="") == ids[0]
+    assert is_whole_id(ids[0])
+    assert not is_whole_id("ppo-yellow-left-of-green2-8bc1f7")  # as long as an id
     for given in ("", "ppo-", "ppo-yellow-left-of-green", "ppo-9bc1f7"):
         with pytest.raises(InvalidInput):
             whole_id(given, ids, list_command="")

@@ -13,7 +13,7 @@ from freerein.cli.commands.dataset import check_no_path, dataset_root, import_wi
 from freerein.cli.connection import call, call_each, check_all_answer, check_only_unavailable
 from freerein.cli.jobs import display, fit_report
 from freerein.cli.jobs.display import check_succeeded
-from freerein.cli.jobs.ids import ID_DIGITS, whole_id
+from freerein.cli.jobs.ids import is_whole_id, whole_id
 from freerein.cli.jobs.next_steps import after_fit, say_next_steps
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
@@ -38,7 +38,9 @@ from freerein.types.learning import (
 app = typer.Typer(help="Fits of models.", no_args_is_help=True, add_completion=False)
 
 _Service = Annotated[str, typer.Option(help="Service that fits; all when empty.")]
-_Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the fit, or its first digits; see `freerein fit list`.")]
+_Id = Annotated[
+    str, typer.Argument(metavar="ID", help="Id of the fit, its first digits or readable name; see `freerein fit list`.")
+]
 
 _Phrases = Annotated[
     list[str] | None,
@@ -227,7 +229,7 @@ def resume(
 
 def _find(fit: str, service: str) -> tuple[str, str]:
     """Returns the service and the id of the fit that is meant; an empty service is looked for."""
-    if len(fit) == ID_DIGITS:
+    if is_whole_id(fit):
         return service or _service_of(fit), fit
     answers, errors = call_each(FitClient, [service] if service else list(_SERVICES), _all_fits)
     services = {each.id: name for name, fits in answers.items() for each in fits}

@@ -13,7 +13,7 @@ from freerein import wire
 from freerein.atomic_files import TEMP_SUFFIX
 from freerein.cli.connection import call
 from freerein.cli.jobs import display
-from freerein.cli.jobs.ids import ID_DIGITS, whole_id
+from freerein.cli.jobs.ids import is_whole_id, whole_id
 from freerein.cli.jobs.next_steps import after_run, say_next_steps
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
@@ -54,7 +54,10 @@ _Watch = Annotated[bool, typer.Option("--watch/--no-watch", help="Wait for the e
 _Metrics = Annotated[
     list[str] | None, typer.Option("--metric", help="Metric to draw; repeatable. Default: the most relevant ones.")
 ]
-_Id = Annotated[str, typer.Argument(metavar="ID", help="Id of the run, or its first digits; see `freerein runs list`.")]
+_Id = Annotated[
+    str,
+    typer.Argument(metavar="ID", help="Id of the run, its first digits or readable name; see `freerein runs list`."),
+]
 _Name = Annotated[str, typer.Argument(metavar="NAME", help="Artifact to fetch; without it, all are listed.")]
 _Out = Annotated[Path | None, typer.Option(metavar="FILE", help="Output file or folder, `-` for stdout; default NAME.")]
 
@@ -140,7 +143,7 @@ def artifacts(run: _Id, name: _Name = "", out: _Out = None, as_json: AsJson = Fa
 
 def _whole(run: str) -> str:
     """Returns the id of the run that is meant."""
-    if len(run) == ID_DIGITS:
+    if is_whole_id(run):
         return run
     return whole_id(run, [each.id for each in _ask(_all_runs)], list_command="freerein runs list")
 

@@ -1,10 +1,16 @@
 """Ids of runs and fits, which people shorten as the command line does."""
 
+import re
 from collections.abc import Sequence
 
 from freerein.errors import InvalidInput
 
-ID_DIGITS = 32
+_ID_DIGITS = 32
+
+
+def is_whole_id(given: str) -> bool:
+    """Returns whether this is an id, neither its first digits nor a readable name."""
+    return re.fullmatch(rf"[0-9a-f]{{{_ID_DIGITS}}}", given) is not None
 
 
 def whole_id(given: str, ids: Sequence[str], *, list_command: str) -> str:
@@ -16,7 +22,7 @@ def whole_id(given: str, ids: Sequence[str], *, list_command: str) -> str:
     found = [each for each in ids if digits and each.startswith(digits)]
     if len(found) != 1:
         raise InvalidInput(
-            f"An id of {ID_DIGITS} digits, or its first ones, must be given; {len(found)} ids begin so.",
+            f"An id of {_ID_DIGITS} digits, or its first ones, must be given; {len(found)} ids begin so.",
             field="id",
             hint=f"`{list_command}` shows all.",
         )
