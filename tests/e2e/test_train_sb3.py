@@ -1,6 +1,6 @@
-"""The example that learns from a sentence, over real services, for 1,280 timesteps.
+"""The example that learns from a sentence, over real services, for 1,280 timesteps, and trains on for as many.
 
-That is one update, too little to see it learn: `test_stable_baselines_learns_from_a_sentence` does, with an easier
+That is one update each, too little to see it learn: `test_stable_baselines_learns_from_a_sentence` does, with an easier
 judge.
 """
 
@@ -13,6 +13,7 @@ from typing import Any
 from zipfile import is_zipfile
 
 import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "train_sb3.py"
 
@@ -28,7 +29,8 @@ def test_stable_baselines_trains_on_a_sentence(
     addresses = [word for name, service in services.items() for word in (f"--{name}", service.address)]
     policy = tmp_path / "policy.zip"
 
-    command = [sys.executable, EXAMPLE, "--steps", "160", "--envs", "8", "--out", policy, *addresses]
+    log = tmp_path / "log"
+    command = [sys.executable, EXAMPLE, "--steps", "160", "--envs", "8", "--out", policy, "--log", log, *addresses]
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
 
     assert ran.returncode == 0, ran.stderr
@@ -36,3 +38,10 @@ def test_stable_baselines_trains_on_a_sentence(
     assert returns is not None, ran.stderr
     assert all(0 < float(each) < 4 for each in returns.groups())  # some frames show what the sentence says, some do not
     assert is_zipfile(policy)
+
+    more = subprocess.run([*command, "--resume", policy], capture_output=True, text=True, check=False)
+
+    assert more.returncode == 0, more.stderr
+    assert "after 320 moves" in more.stderr
+    curve = EventAccumulator(str(log / "PPO_1")).Reload().Scalars("rollout/ep_rew_mean")  # goes on where it was
+    assert [point.step for point in curve] == [160, 320]
