@@ -160,11 +160,16 @@ class _Reader:
         """Returns the first timestep at or after a time."""
         text = line.cells[column].strip()
         if self.unit == "timesteps" and ":" not in text:
-            return line.integer(column, least=least, most=most)
+            step = _seconds(text)
+            return (
+                int(step)
+                if step.is_integer() and least <= step <= most
+                else line.integer(column, least=least, most=most)
+            )
         scale = 1000 if self.unit == "milliseconds" and ":" not in text else 1
         time_s = _seconds(text) / scale
         step = math.ceil(time_s * self.fps - _ROUNDING) if math.isfinite(time_s) else -1
-        if step == most + 1 and least <= most:
+        if step == most + 1 and column == self.roles.get("end"):
             return most  # a video may last a little longer than its last frame
         if not least <= step <= most:
             raise line.error(
@@ -209,7 +214,9 @@ def _own_unit(name: str) -> str:
 
 
 def _by_contents(found: list[tuple[int, list[str]]]) -> _Table:
-    """Returns a table without names: times in the order of ELAN, and texts, of which the last is the skill."""
+    """Returns a table without known names: times in the order of ELAN, and texts, of which the last is the skill."""
+    if len(found) > 1 and not _has_time(found[0][1]) and _has_time(found[1][1]):
+        found = found[1:]  # names in another language
     number, cells = found[0]
     columns = [str(place) for place in range(1, len(cells) + 1)]
     times = [column for column, cell in zip(columns, cells, strict=True) if math.isfinite(_seconds(cell.strip()))]
@@ -223,6 +230,10 @@ def _by_contents(found: list[tuple[int, list[str]]]) -> _Table:
     elif times:
         roles |= {"start": times[0], "end": times[formats]}
     return columns, roles, None, found
+
+
+def _has_time(cells: Sequence[str]) -> bool:
+    return any(math.isfinite(_seconds(cell.strip())) for cell in cells)
 
 
 def _formats(times: Sequence[float]) -> int | None:

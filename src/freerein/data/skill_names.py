@@ -4,7 +4,7 @@ import unicodedata
 from collections.abc import Callable, Iterable
 
 SEPARATOR = ";"
-_OTHER_SEPARATORS = ",|/\\&+\t\n\r\u3001\uff0c\uff1b\uff5c\uff0f"  # and those of Chinese and Japanese
+_SEPARATORS = SEPARATOR + ",|/\\&+\t\n\r\u3001\uff0c\uff1b\uff5c\uff0f"  # and those of Chinese and Japanese
 _LONGEST = 64
 
 
@@ -52,7 +52,7 @@ class SkillNames:
 
 
 def _check_apart(name: str) -> None:
-    separator = next((each for each in name if each in _OTHER_SEPARATORS), "")
+    separator = next((each for each in name if each in _SEPARATORS), "")
     if separator:
         shown = f"a `{separator}`" if separator.isprintable() else "a tab or a new line"
         raise ValueError(f"separate skills by `{SEPARATOR}`, such as reach;pour; it has {shown} in a name")

@@ -230,7 +230,7 @@ def corrupt_as_invalid(subject: str) -> Iterator[None]:
         raise InvalidInput(
             f"{subject} must be a whole file with the contents that LeRobot's format names; "
             "it is missing, truncated or corrupt.",
-            hint="Run `freerein dataset verify` to see which files are broken, and restore those from a copy.",
+            hint="`freerein dataset verify NAME`, or FOLDER, lists all that is broken: restore it from a copy.",
         ) from None
 
 
