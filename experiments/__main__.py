@@ -1,4 +1,4 @@
-"""Runs experiments and makes their tables: `python -m experiments run|table`; see `README.md`."""
+"""Runs experiments and makes their tables: `python -m experiments list|run|table`; see `README.md`."""
 
 import argparse
 import sys
@@ -9,6 +9,7 @@ from pathlib import Path
 from experiments import registry
 from experiments.workbench import results, table
 from experiments.workbench.arms import Arm, choose, is_current
+from experiments.workbench.progress import ArmProgress, progress
 from experiments.workbench.results import ArmResult
 from experiments.workbench.runner import Ending, Places, run_arms
 from experiments.workbench.table import Table
@@ -28,7 +29,46 @@ def main(words: Sequence[str]) -> int:
     return exit_code
 
 
+def _list(arguments: argparse.Namespace) -> int:
+    """Prints a line for each experiment, or for each arm of the named ones."""
+    if arguments.names:
+        for name in arguments.names:
+            experiment = registry.load(name)
+            _print_arms(progress(experiment, experiment.arms, arguments.results / name).arms)
+        return 0
+    print(f"{'experiment':15}{'arms':>6}{'results':>9}{'minutes':>9}  status")
+    for name in registry.EXPERIMENTS:
+        experiment = registry.load(name)
+        found = progress(experiment, experiment.arms, arguments.results / name)
+        present = len(found.arms) - len(found.unfinished)
+        print(f"{name:15}{len(found.arms):6}{present:9}{found.minutes:9.0f}  {found.status}")
+    return 0
+
+
+def _print_arms(arms: Sequence[ArmProgress]) -> None:
+    width = max((len(each.arm.name) for each in arms), default=0)
+    for each in arms:
+        minutes = "unknown" if each.minutes is None else f"{each.minutes:.1f}"
+        print(f"{each.arm.name:{width}}  {each.state:8}  {minutes:>7} minutes")
+
+
+def _dry_run(arguments: argparse.Namespace) -> int:
+    """Prints the arms that `run` would train."""
+    experiment = registry.load(arguments.name)
+    chosen = choose(experiment, arguments.only)
+    waiting = progress(experiment, chosen, arguments.results / arguments.name).unfinished
+    _print_arms(waiting)
+    known = [each.minutes for each in waiting if each.minutes is not None]
+    print(
+        f"{len(waiting)} of {len(chosen)} arms would run; {len(known)} of them took {sum(known):.0f} minutes before, "
+        "or other seeds did."
+    )
+    return 0
+
+
 def _run(arguments: argparse.Namespace) -> int:
+    if arguments.dry_run:
+        return _dry_run(arguments)
     experiment, deadline = registry.load(arguments.name), time.monotonic() + 60 * arguments.minutes
     endings = run_arms(
         arguments.name,
@@ -84,17 +124,21 @@ def _report(arm: Arm, ending: Ending) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m experiments", description="Run experiments, make their tables.")
     commands = parser.add_subparsers(required=True)
+    show = commands.add_parser("list", help="experiments, their arms and results")
+    show.add_argument("names", nargs="*", metavar="NAME", help="show the arms of these; default: all experiments")
+    show.set_defaults(command=_list)
     run = commands.add_parser("run", help="train and evaluate the arms that have no result yet")
     run.add_argument("name", choices=registry.EXPERIMENTS)
     run.add_argument("--jobs", type=int, default=1, help="arms at a time, one thread each")
     run.add_argument("--only", nargs="+", default=(), metavar="PATTERN", help="names of arms, such as 'grid-lse-*'")
     run.add_argument("--minutes", type=float, default=_WEEK_MINUTES, help="stop then; the next run resumes")
+    run.add_argument("--dry-run", action="store_true", help="name the arms that would run, and train nothing")
     run.add_argument("--work", type=Path, default=Places.work, help="folder of datasets and checkpoints")
     run.set_defaults(command=_run)
     make = commands.add_parser("table", help="make tables of the arms that have results")
     make.add_argument("names", nargs="*", metavar="NAME", help="default: all that have results")
     make.set_defaults(command=_table)
-    for each in (run, make):
+    for each in (show, run, make):
         each.add_argument("--results", type=Path, default=Places.results, help="folder of results")
     return parser
 
