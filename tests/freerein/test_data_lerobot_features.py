@@ -14,7 +14,8 @@ from tests.lerobot_dataset import CAMERA, DATA, EPISODES, INFO, STEPS, VECTOR, p
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
-from freerein.data import Dataset, LeRobotOptions, LeRobotSource, check, import_trajectories, lerobot_features
+from freerein.data import Dataset, LeRobotOptions, LeRobotSource, check, import_trajectories
+from freerein.data.frame_axes import frame_size
 from freerein.errors import InvalidInput
 
 EIGHT = {"dtype": "float32", "shape": [8], "names": None}
@@ -32,7 +33,7 @@ def add_column(root: Path, name: str, values: Any, feature: dict[str, Any], *, o
 
 
 def size_of(shape: Any, names: Any, **info: Any) -> tuple[int, ...] | None:
-    return lerobot_features._frame_size({"shape": shape, "names": names, "info": info})
+    return frame_size({"shape": shape, "names": names, "info": info})
 
 
 @pytest.mark.parametrize(

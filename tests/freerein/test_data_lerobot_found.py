@@ -1,12 +1,14 @@
 """LeRobot's rows are found by `episode_index` and `frame_index`, whatever their order and the numbering of episodes."""
 
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from tests.lerobot_dataset import DATA, EPISODES, STEPS, rows_of, write_data, write_dataset, write_episodes
+from tests.lerobot_dataset import DATA, EPISODES, STEPS, rows_of, write_data, write_dataset, write_episodes, write_info
 
 from freerein.data import Dataset, LeRobotSource, import_trajectories, tag, verify
 from freerein.errors import InvalidInput
@@ -51,6 +53,15 @@ def test_tags_name_an_episode_by_its_number(root: Path) -> None:
     assert Dataset(root).skills == (("reach",), ())
     with pytest.raises(InvalidInput, match="Line 2, column `trajectory`"):
         tag(root, b"trajectory,skills\n0,reach\n")
+
+
+@pytest.mark.parametrize(("counted", "found"), [(3, "3"), (10**400, "[0-9]+"), (None, "no number"), ([3], "no number")])
+def test_a_count_of_other_episodes_than_are_listed_is_said(root: Path, counted: Any, found: str) -> None:
+    write_info(root, total_episodes=counted)
+    pq.write_table(pq.read_table(root / EPISODES).take([0, 2]), root / EPISODES)
+    (note, renumbered) = LeRobotSource(root).notes
+    assert re.search(f"`info.json` counts {found}, `meta/episodes` lists 2", note)
+    assert "episode 2 is now trajectory 1" in renumbered
 
 
 def test_an_episode_that_is_listed_twice_is_refused_by_its_number(root: Path) -> None:

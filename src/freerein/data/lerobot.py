@@ -69,6 +69,7 @@ def read(root: Path, options: LeRobotOptions = DEFAULTS) -> LeRobotMeta:
     if options.skip_damaged:
         episodes, contradicting = _consistent(root, episodes, features, fps=_fps(info))
         damaged |= contradicting
+    damaged |= _uncounted(info, len(episodes))
     tasks = lerobot_tables.read_texts(root, layout.TASKS_FILE, "task")
     spec = DatasetSpec(
         fps=_fps(info),
@@ -96,6 +97,14 @@ def read(root: Path, options: LeRobotOptions = DEFAULTS) -> LeRobotMeta:
         terminated_key=features.terminated,
         left_out={**features.left_out, **damaged},
     )
+
+
+def _uncounted(info: Mapping[str, Any], listed: int) -> dict[str, str]:
+    """Returns that another number of episodes is counted than listed, by the name of the count."""
+    counted = info.get("total_episodes", listed)
+    found = counted if isinstance(counted, int) else "no number"
+    reason = f"`info.json` counts {found}, `meta/episodes` lists {listed}"
+    return {"total_episodes": reason} if counted != listed else {}
 
 
 def _consistent(root: Path, episodes: pa.Table, features: Features, *, fps: int) -> tuple[pa.Table, dict[str, str]]:

@@ -1,12 +1,12 @@
 """Which features of a LeRobotDataset are read: cameras, action, robot state, terminations; and why others are not."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from freerein.data import layout
+from freerein.data.frame_axes import frame_size, is_length
 from freerein.errors import InvalidInput
-from freerein.images import MAX_PIXELS, MAX_SIDE
 from freerein.types.common import check_name
 
 _INDICES = frozenset(("timestamp", "frame_index", "episode_index", "index", "task_index"))
@@ -134,7 +134,7 @@ def _cameras(
         if feature.get("dtype") not in ("image", "video"):
             continue
         name = key.removeprefix(layout.CAMERA_PREFIX).removeprefix("observation.").lower()
-        size = _frame_size(feature)
+        size = frame_size(feature)
         if _is_depth(feature):
             unreadable[key] = "a depth map"
         elif size is None:
@@ -188,47 +188,6 @@ def _is_name(name: str) -> bool:
 def _is_depth(feature: Mapping[str, Any]) -> bool:
     info = feature.get("info") or feature.get("video_info") or {}
     return isinstance(info, dict) and any(name.endswith("is_depth_map") and bool(value) for name, value in info.items())
-
-
-def _frame_size(feature: Mapping[str, Any]) -> tuple[int, int, int] | None:
-    """Returns (H, W, C) by what tells the axes apart: the video's own size, else names, else the channels' number."""
-    shape, names = feature.get("shape"), feature.get("names")
-    if not isinstance(shape, list) or len(shape) not in (2, 3) or not all(map(_is_length, shape)):
-        return None
-    lengths = [*shape, 1][:3]
-    named = [str(each).lower() for each in names] if isinstance(names, list) else []
-    sizes = [_by_video(feature), *_by_names(lengths, named), *_by_channels(lengths)]
-    return next((each for each in sizes if each and _is_frame(each) and sorted(each) == sorted(lengths)), None)
-
-
-def _by_names(lengths: Sequence[int], names: Sequence[str]) -> Iterator[tuple[int, int, int]]:
-    """Yields the size where one axis is called a height and one a width, whatever the third is called."""
-    high, wide = ([axis for axis, name in enumerate(names[:3]) if name[:1] == letter] for letter in "hw")
-    if len(names) in (2, 3) and len(high) == len(wide) == 1:
-        yield lengths[high[0]], lengths[wide[0]], lengths[3 - high[0] - wide[0]]
-
-
-def _by_video(feature: Mapping[str, Any]) -> tuple[int, int, int] | None:
-    """Returns the size that the encoder of a video noted; None without."""
-    info = feature.get("info") or feature.get("video_info") or {}
-    noted = [info.get(f"video.{name}") for name in ("height", "width", "channels")] if isinstance(info, dict) else []
-    sizes = [each for each in noted if isinstance(each, int) and _is_length(each)]
-    return (sizes[0], sizes[1], sizes[2]) if len(sizes) == 3 else None
-
-
-def _by_channels(lengths: Sequence[int]) -> Iterator[tuple[int, int, int]]:
-    """Yields channels last, LeRobot's own order, then channels first."""
-    first, second, third = lengths
-    yield first, second, third
-    yield second, third, first
-
-
-def _is_length(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MAX_SIDE
-
-
-def _is_frame(size: tuple[int, int, int]) -> bool:
-    return size[2] in (1, 3) and size[0] * size[1] <= MAX_PIXELS
 
 
 def _terminated(features: Mapping[str, dict[str, Any]]) -> str:
@@ -285,7 +244,7 @@ def _vector(features: Mapping[str, dict[str, Any]], keys: Sequence[str], *, any_
         shape, dtype = features[key].get("shape"), features[key].get("dtype")
         if not isinstance(dtype, str) or not dtype.startswith(kinds) or not isinstance(shape, list):
             return None
-        if len(shape) != 1 or not _is_length(shape[0]):
+        if len(shape) != 1 or not is_length(shape[0]):
             return None
         columns[key] = int(shape[0])
         names += _flat_names(features[key].get("names"), columns[key]) or [key] * (len(keys) > 1) * columns[key]
