@@ -13,6 +13,7 @@ import grpc
 import httpx
 import numpy as np
 import pytest
+from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from freerein import wire
 from freerein.clients.channel import Channel
@@ -118,6 +119,25 @@ async def test_no_rest_call_in_flight_is_lost(start_faulty: Callable[..., Any], 
         begun = logged(service)
         assert begun.pop("unavailable", 0) <= outcomes["refused"]
         assert begun == {"ok": outcomes["answered"]}
+
+
+@pytest.mark.fault("F7")
+def test_a_service_that_is_told_to_leave_answers_until_its_delay_is_over(
+    start_faulty: Callable[..., Any], wait_until: Callable[..., float]
+) -> None:
+    faulty = start_faulty(FREEREIN_DRAIN_DELAY_S="600")
+    wait_until(lambda: faulty.http.get("/readyz").status_code == 200, 60)
+    faulty.service.process.send_signal(signal.SIGTERM)
+    wait_until(lambda: faulty.http.get("/readyz").status_code == 503, 60)
+    with grpc.insecure_channel(faulty.service.address) as channel:
+        health = health_pb2_grpc.HealthStub(channel)
+        not_serving = health_pb2.HealthCheckResponse.NOT_SERVING
+        wait_until(lambda: health.Check(health_pb2.HealthCheckRequest()).status == not_serving, 60)
+        message = wire.pack(SegmentRequest(frames=frames())).SerializeToString()
+        assert channel.unary_unary(SEGMENT)(message, timeout=60)
+    assert faulty.segment(4, 5).json()["labels"] == [0, 1]
+    faulty.service.process.send_signal(signal.SIGTERM)
+    assert faulty.service.process.wait(60) == 0
 
 
 @pytest.mark.fault("F7")

@@ -5,9 +5,9 @@ What counts are bytes on the wire, times `COPIES`: as received, as parsed or enc
 
 import asyncio
 import ctypes
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -100,14 +100,17 @@ async def encode(response: Any, write: Callable[[Any], T], share: Share) -> T:
 
 def _size_of(value: object) -> int:
     """Returns the bytes of the arrays, files and texts of a dataclass."""
+    if value is None or isinstance(value, int | float):  # most are
+        return 0
     if isinstance(value, np.ndarray):
         return value.nbytes
     if isinstance(value, bytes | str):
         return len(value)
+    parts: Iterable[object] = ()
     if isinstance(value, tuple | list):
-        return sum(map(_size_of, value))
-    if isinstance(value, dict):
-        return sum(map(_size_of, value.values()))
-    if is_dataclass(value):
-        return sum(_size_of(getattr(value, field.name)) for field in fields(value))
-    return 0
+        parts = value
+    elif isinstance(value, dict):
+        parts = value.values()
+    elif is_dataclass(value):
+        parts = vars(value).values()
+    return sum(map(_size_of, parts))
