@@ -34,7 +34,29 @@ _RECONNECT_DELAY_S = 0.1
 _PATH = ((0, 0.5), (1, 0.5), (0, -0.5))  # index and value of an action's number, for each part of the path
 _STEPS = 6  # of each part
 _MAX_STEPS_PER_GOAL = 250  # more than the model's own: where a busy machine answers late, the robot holds
+_OVER = "the newest actions are executed or too old, and no newer ones have come"
 Action = npt.NDArray[np.float32]
+
+
+class HoldLog:
+    """Logs that a robot holds, each reason and that it goes on, once each, not at every control step."""
+
+    def __init__(self) -> None:
+        self._begun: int | None = None
+        self._reasons: set[str] = set()
+
+    def hold(self, step: int, reason: str) -> None:
+        """Notes that the robot holds at a control step."""
+        self._begun = step if self._begun is None else self._begun
+        if reason not in self._reasons:
+            self._reasons.add(reason)
+            _log.warning("step %d: holds: %s", step, reason)
+
+    def go_on(self, step: int) -> None:
+        """Notes that the robot executes an action at a control step."""
+        if self._begun is not None:
+            _log.warning("step %d: goes on; it held for %d steps", step, step - self._begun)
+        self._begun, self._reasons = None, set()
 
 
 class Controller:
@@ -54,6 +76,7 @@ class Controller:
         self._newest, self._is_new = Observed(0, Observation()), asyncio.Event()
         self._planned: deque[Action] = deque()  # rest of the last chunk
         self._model, self._state_step = ModelRef(), 0  # model and step of the last chunk's state
+        self._holds, self._why_no_action = HoldLog(), "no actions have come yet"
         self.last: Chunk | None = None
 
     async def run(self) -> None:
@@ -73,8 +96,11 @@ class Controller:
         receiving.result()
 
     def _next_action(self) -> Action:
+        step = len(self._executed)
         if self._planned and self.last and time.monotonic_ns() <= self.last.valid_until_ns:
+            self._holds.go_on(step)
             return self._planned.popleft()
+        self._holds.hold(step, self._why_no_action)
         if self._robot.action.absolute and self._executed:
             return self._executed[-1]  # the last target holds the robot
         return self._robot.hold()
@@ -86,13 +112,15 @@ class Controller:
                     if reply.spec:
                         self._model = reply.spec.model
                     elif reply.error:
-                        _log.warning("step %d: %s", reply.seq, reply.error.detail)
+                        self._why_no_action = reply.error.detail
                     elif reply.chunk:
-                        self._planned, self._state_step, self.last = deque(reply.chunk.actions), reply.seq, reply.chunk
+                        self._planned = deque(reply.chunk.actions.copy())
+                        self._state_step, self.last = reply.seq, reply.chunk
                         if not self._planned:
                             return  # all goals are over
+                        self._why_no_action = _OVER
             except (Unavailable, DeadlineExceeded, Overloaded) as error:
-                _log.warning("step %d: %s", len(self._executed), error.detail)
+                self._why_no_action = error.detail
             await asyncio.sleep(_RECONNECT_DELAY_S)  # meanwhile the rest of the chunk is executed
 
     async def _requests(self) -> AsyncIterator[ControlRequest]:
@@ -139,7 +167,7 @@ class Robot:
         return np.zeros(self.action.size, np.float32)
 
     async def execute(self, action: Action) -> None:
-        """Executes an action, float32 (A,)."""
+        """Executes an action, float32 (A,); a robot that cuts it short writes into it what it did."""
         self._steps += 1
         camera = self.cameras[0].name
         stepped = await self._sim.step(StepRequest(self._session, self._steps, action[None], (camera,)))

@@ -1,0 +1,97 @@
+"""What the example's controller logs of holds, with a policy whose answers are written down here."""
+
+import importlib.util
+import logging
+import re
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from freerein.errors import Unavailable
+from freerein.types.common import ActionSpec, Camera, Error, Goal, Observation
+from freerein.types.imitation import Chunk, ControlRequest, ControlResponse
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "robot_controller.py"
+HORIZON_NS = 60_000_000_000
+
+
+@pytest.fixture(scope="module")
+def example() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("example_controller", EXAMPLE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+class OwnRobot:
+    """A robot that counts its control steps."""
+
+    cameras = (Camera("front", 8, 8, 3),)
+    action = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
+    control_dt_s = 0.002
+
+    def __init__(self) -> None:
+        self.executed: list[Any] = []
+
+    def observation(self) -> Observation:
+        return Observation()
+
+    def hold(self) -> Any:
+        return np.zeros(2, np.float32)
+
+    async def execute(self, action: Any) -> None:
+        action *= 0.5  # its limits cut actions short
+        self.executed.append(action)
+
+
+class Policy:
+    """Answers the observations of each stream as a script says: a number of actions, an error's words, or none."""
+
+    def __init__(self, *streams: tuple[int | str | None, ...]) -> None:
+        self._streams = iter(streams)
+
+    async def control(self, requests: AsyncIterator[ControlRequest]) -> AsyncIterator[ControlResponse]:
+        await anext(requests)
+        for answer in next(self._streams):
+            seen = (await anext(requests)).observed
+            assert seen is not None
+            if isinstance(answer, int):
+                actions = np.ones((answer, 2), np.float32)
+                yield ControlResponse(seen.seq, chunk=chunk(actions))
+            elif answer:
+                yield ControlResponse(seen.seq, error=Error("invalid_input", answer, "", False))
+        raise Unavailable("The service cannot be reached.")
+
+
+def chunk(actions: Any) -> Chunk:
+    actions.flags.writeable = False  # as those that a client decodes
+    return SimpleNamespace(actions=actions, state=b"", valid_until_ns=time.monotonic_ns() + HORIZON_NS)  # type: ignore[return-value]
+
+
+async def test_a_hold_its_reasons_and_its_end_are_logged_once_each(
+    example: ModuleType, caplog: pytest.LogCaptureFixture
+) -> None:
+    robot = OwnRobot()
+    dirty = "A lens is dirty."
+    policy = Policy((None, None), (3, None, None, None, None, *9 * (dirty,)), (0,))
+
+    with caplog.at_level(logging.INFO):
+        await example.Controller(robot, policy, Goal(text="push")).run()
+
+    told = [re.sub(r"\d+", "N", record.getMessage()) for record in caplog.records]
+    assert told == [
+        "step N: holds: no actions have come yet",
+        "step N: holds: The service cannot be reached.",
+        "step N: goes on; it held for N steps",
+        f"step N: holds: {example._OVER}",
+        "step N: holds: A lens is dirty.",
+        "step N: holds: The service cannot be reached.",
+    ]
+    assert len(robot.executed) > 10 * len(told)
