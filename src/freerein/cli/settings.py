@@ -4,10 +4,10 @@ from pathlib import Path
 
 from pydantic import SecretStr
 
-from freerein.serving.environment import EnvironmentSettings
+from freerein.serving.environment import EnvironmentVariables
 
 
-class CliSettings(EnvironmentSettings):
+class CliSettings(EnvironmentVariables):
     """Settings of the command line: environment variables `FREEREIN_<NAME>`, shared with the services.
 
     Attributes:

@@ -16,8 +16,8 @@ _WORDS = MappingProxyType(
 """Settings that are words, whatever their case, and other words for them."""
 
 
-class EnvironmentSettings(BaseSettings):
-    """Settings that are environment variables `FREEREIN_<NAME>`.
+class EnvironmentVariables(BaseSettings):
+    """Settings, each an environment variable `FREEREIN_<NAME>`.
 
     Spaces around a value do not matter; `~` in a path is the home directory, and an IPv6 address may be in brackets.
     """

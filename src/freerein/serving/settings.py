@@ -7,14 +7,14 @@ from typing import Literal, Self
 
 from pydantic import Field, SecretStr, model_validator
 
-from freerein.serving.environment import EnvironmentSettings
+from freerein.serving.environment import EnvironmentVariables
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _TOKEN = re.compile(r"[!-~]+")  # what a header carries unchanged
 _ORIGIN = re.compile(r"https?://[^/\s?#*]+")
 
 
-class ServiceSettings(EnvironmentSettings):
+class ServiceSettings(EnvironmentVariables):
     """Settings of every service. Each is an environment variable `FREEREIN_<NAME>`.
 
     Attributes:
