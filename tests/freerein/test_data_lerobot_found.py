@@ -163,3 +163,13 @@ def test_columns_of_episodes_that_are_not_needed_are_not_read(root: Path) -> Non
     with pytest.raises(OSError, match="thrift"):
         pq.read_table(root / EPISODES)
     assert found(Dataset(root)) == expected(0, 1, 2)
+
+
+def test_a_damaged_file_is_named_although_others_were_searched(root: Path) -> None:
+    write_data(root, [0], [1], [2])
+    write_episodes(root, **{"data/file_index": [0, 1, 2]})
+    table = pq.read_table(root / DATA.format(2))
+    pq.write_table(table, root / DATA.format(2), write_statistics=False)  # may hold any episode
+    (root / DATA.format(1)).write_bytes(b"PAR1")
+    with pytest.raises(InvalidInput, match=r"file-001\.parquet`: The data file must be a whole file"):
+        _ = Dataset(root)[1]

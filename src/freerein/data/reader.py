@@ -16,6 +16,7 @@ import pyarrow as pa
 from freerein import images
 from freerein.data import layout, lerobot, meta, tags
 from freerein.data.cache import StepCache, open_or_build
+from freerein.data.episode_files import EpisodeFiles
 from freerein.data.lerobot_features import DEFAULTS, LeRobotOptions
 from freerein.data.trajectory_file import (
     Actions,
@@ -25,8 +26,6 @@ from freerein.data.trajectory_file import (
     decode_frames,
     decode_state,
     decode_terminations,
-    episode_ranges,
-    read_rows,
 )
 from freerein.data.videos import VideoSpan, video_frames
 from freerein.errors import InvalidInput, UnsupportedMedia
@@ -62,7 +61,6 @@ class Dataset:
     def __init__(self, root: Path, options: LeRobotOptions = DEFAULTS) -> None:
         self._root = root
         spec, given = meta.read_spec(root), tags.read(root)
-        self._is_foreign = spec is None
         if spec is None:
             foreign = lerobot.read(root, options)
             self.spec, table, self._keys = foreign.spec, foreign.episodes, foreign.camera_keys
@@ -84,7 +82,9 @@ class Dataset:
         self.tasks = tuple(tuple(texts) for texts in table["tasks"].to_pylist())
         self.goal_texts = tuple(texts[0] if len(texts) == 1 else self.spec.task for texts in self.tasks)
         chunks, files = table["data/chunk_index"].to_pylist(), table["data/file_index"].to_pylist()
-        self._places = list(zip(chunks, files, strict=True))
+        places = zip(self.episodes, chunks, files, strict=True)
+        named = {each: layout.numbered(root / "data", chunk=chunk, file=file) for each, chunk, file in places}
+        self._files = EpisodeFiles(root, named, is_searched=spec is None)
         self._hashes = table["data/sha256"].to_pylist() if "data/sha256" in table.column_names else None
         self._tags_sha256 = given.sha256 if given else ""
 
@@ -148,7 +148,7 @@ class Dataset:
     def stored_columns(self, index: int, names: Sequence[str]) -> pa.Table:
         """Returns columns of a trajectory's data file as they are stored; raises InvalidInput where one is missing."""
         with self._named(index):
-            return self._rows(index, list(names))
+            return self._rows(index, names)
 
     def first_frames(self, items: Sequence[int], camera: str) -> Iterator[npt.NDArray[np.uint8]]:
         """Yields the first frame of some trajectories, uint8 (H, W, C); raises as `stream`."""
@@ -169,7 +169,7 @@ class Dataset:
         if self._hashes is not None:
             return hashlib.sha256("\n".join(self._hashes).encode()).hexdigest()
         spans = [span for spans in self._videos.values() for span in spans]
-        files = dict.fromkeys([*self._data_files, *(span.root / span.file for span in spans)])
+        files = dict.fromkeys([*self._files.paths, *(span.root / span.file for span in spans)])
         listed = [self.episodes, self.lengths.tolist(), [span.start_s for span in spans]]
         hashes = [*(_sha256(path) for path in files), json.dumps(listed)]
         return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
@@ -225,40 +225,8 @@ class Dataset:
             actions = decode_actions(rows, self.spec, self._action_columns)
             return actions, decode_terminations(rows, key=self._terminated_key) if terminated else None
 
-    def _rows(self, index: int, columns: list[str]) -> pa.Table:
-        """Returns the columns of a trajectory, from the file that `meta/` names, else from those that hold it."""
-        try:
-            return self._whole_rows(index, columns, [self._path(self._places[index])])
-        except InvalidInput:
-            others = self._holding(self.episodes[index]) if self._is_foreign else []
-            if not others or others == [self._path(self._places[index])]:
-                raise
-            return self._whole_rows(index, columns, others)
-
-    def _whole_rows(self, index: int, columns: list[str], paths: list[Path]) -> pa.Table:
-        rows = read_rows(paths, index=self.episodes[index], columns=columns)
-        if len(rows) != self.lengths[index]:
-            raise InvalidInput(
-                f"It must have the {self.lengths[index]} timesteps that `meta/` names; the data has {len(rows)}.",
-                hint="Run `freerein dataset verify`, and restore the broken file from a copy.",
-            )
-        return rows
-
-    def _holding(self, episode: int) -> list[Path]:
-        """Returns the data files that may hold an episode: some converters name others in the episodes table."""
-        return [
-            path
-            for path, ranges in self._ranges.items()
-            if any(least <= episode <= greatest for least, greatest in ranges)
-        ]
-
-    @cached_property
-    def _ranges(self) -> dict[Path, list[tuple[float, float]]]:
-        return {path: episode_ranges(path) for path in self._data_files}
-
-    @property
-    def _data_files(self) -> list[Path]:
-        return [self._path((each.chunk, each.file)) for each in layout.numbered_files(self._root / "data")]
+    def _rows(self, index: int, columns: Sequence[str]) -> pa.Table:
+        return self._files.rows(self.episodes[index], columns, length=int(self.lengths[index]))
 
     def _frames(
         self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None = None, most: int | None = None
@@ -294,7 +262,7 @@ class Dataset:
         try:
             yield
         except (InvalidInput, UnsupportedMedia) as error:
-            place = f"camera `{camera}`" if camera in self._videos else self._file(index)
+            place = f"camera `{camera}`" if camera in self._videos else self._files.name(self.episodes[index])
             detail = f"Trajectory {self.episodes[index]}, {place}: {error.detail}"
             raise type(error)(detail, field=error.field, hint=error.hint) from None
         except MemoryError:
@@ -303,12 +271,6 @@ class Dataset:
                 "not.",
                 hint="Import the dataset with smaller ones, --size 96x128, or cut the trajectory.",
             ) from None
-
-    def _file(self, index: int) -> str:
-        return f"`{self._path(self._places[index]).relative_to(self._root).as_posix()}`"
-
-    def _path(self, place: tuple[int, int]) -> Path:
-        return layout.numbered(self._root / "data", chunk=place[0], file=place[1])
 
     def _cache_file(self, name: str) -> Path:
         return self._root / "cache" / self._data_sha256[:16] / f"{name}.raw"

@@ -1,0 +1,75 @@
+"""The data files of a dataset, and the rows of an episode in whichever of them it lies."""
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import pyarrow as pa
+
+from freerein.data import layout
+from freerein.data.trajectory_file import episode_ranges, read_rows
+from freerein.errors import InvalidInput
+
+
+class EpisodeFiles:
+    """Finds the rows of episodes by their number.
+
+    Args:
+        root: The dataset's folder.
+        named: The file that `meta/` names for each episode.
+        is_searched: Whether others are searched where that one does not hold the episode, as some converters leave it.
+    """
+
+    def __init__(self, root: Path, named: Mapping[int, Path], *, is_searched: bool) -> None:
+        self._root = root
+        self._named = named
+        self._is_searched = is_searched
+
+    def rows(self, episode: int, columns: Sequence[str], *, length: int) -> pa.Table:
+        """Returns columns of an episode of so many timesteps; raises InvalidInput where they are not there once."""
+        named = self._named[episode]
+        try:
+            return _whole(read_rows([named], index=episode, columns=columns), length)
+        except InvalidInput as error:
+            others = self._holding(episode) if self._is_searched else []
+            if others in ([], [named]):
+                raise
+            try:
+                return _whole(read_rows(others, index=episode, columns=columns), length)
+            except InvalidInput:
+                if self._is_damaged(named):
+                    raise error from None
+                raise
+
+    def name(self, episode: int) -> str:
+        """Returns the name of the file that should hold an episode, for errors."""
+        return f"`{self._named[episode].relative_to(self._root).as_posix()}`"
+
+    @property
+    def paths(self) -> list[Path]:
+        """All data files, in order."""
+        folder = self._root / "data"
+        return [layout.numbered(folder, chunk=each.chunk, file=each.file) for each in layout.numbered_files(folder)]
+
+    def _holding(self, episode: int) -> list[Path]:
+        return [
+            path
+            for path, ranges in self._ranges.items()
+            if any(least <= episode <= greatest for least, greatest in ranges)
+        ]
+
+    def _is_damaged(self, path: Path) -> bool:
+        return path.is_file() and not self._ranges.get(path)
+
+    @cached_property
+    def _ranges(self) -> dict[Path, list[tuple[float, float]]]:
+        return {path: episode_ranges(path) for path in self.paths}
+
+
+def _whole(rows: pa.Table, length: int) -> pa.Table:
+    if len(rows) != length:
+        raise InvalidInput(
+            f"It must have the {length} timesteps that `meta/` names; the data has {len(rows)}.",
+            hint="Run `freerein dataset verify`, and restore the broken file from a copy.",
+        )
+    return rows
