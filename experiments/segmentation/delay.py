@@ -74,7 +74,7 @@ def _encoded(network: SegmentationNetwork, seen: Trajectories, count: int) -> tu
     """Returns features (N, D) and scaled actions (N, A) of the first trajectories."""
     device, items = network.head.weight.device, range(min(count, _TRAJECTORIES))
     features = [
-        network.image({name: torch.from_numpy(each[item]).to(device) for name, each in seen.frames.items()})
+        network.image({name: torch.from_numpy(np.array(each[item])).to(device) for name, each in seen.frames.items()})
         for item in items
     ]
     actions = torch.from_numpy(np.concatenate([seen.actions[item] for item in items])).to(device)
