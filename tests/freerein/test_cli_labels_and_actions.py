@@ -150,6 +150,10 @@ def test_a_policy_is_asked_once_and_says_what_it_wants_to_see(
     assert with_state["actions"] == answers[0]["actions"]
     refused = json.loads(_run("act", "--image", now, "--goal", far, "--robot-state", "up").stderr)
     assert (refused["error"]["code"], refused["error"]["field"]) == ("invalid_input", "robot_state")
+    PIL.Image.new("RGB", (12, 8), (0, 0, 9)).save(data_dir / "large.png")
+    asked = ["act", "--image", str(data_dir / "large.png"), "--goal", far]
+    assert "resize" in json.loads(_run(*asked).stderr)["error"]["hint"]
+    assert json.loads(_run(*asked, "--resize", "crop").stdout)["resized"]
 
 
 @pytest.mark.parametrize(

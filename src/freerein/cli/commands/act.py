@@ -13,7 +13,7 @@ from freerein.cli.output import AsJson, command, print_json, show_table
 from freerein.clients import ImitationClient
 from freerein.errors import InvalidInput
 from freerein.types.common import Goal, ModelRef, Observation
-from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
+from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse, Resize
 
 app = typer.Typer(invoke_without_command=True, add_completion=False)
 
@@ -23,6 +23,7 @@ _Images = Annotated[list[str] | None, typer.Option(metavar=FILES, help="Current 
 _Goals = Annotated[list[str] | None, typer.Option(metavar=FILES, help="Goal image; repeatable, in order.")]
 _Recipe = Annotated[list[str] | None, typer.Option(metavar="SKILL", help="Skill to execute; repeatable, in order.")]
 _RobotState = Annotated[str, typer.Option(metavar="N,N,...", help="The robot's own state, for models that take it.")]
+_Resize = Annotated[Resize | None, typer.Option(help="Make images of other sizes fit: whole, or the middle.")]
 _GoalText = Annotated[str, typer.Option(metavar="TEXT", help="Goal text.")]
 
 
@@ -36,6 +37,7 @@ def act(
     recipe: _Recipe = None,
     goal_text: _GoalText = "",
     robot_state: _RobotState = "",
+    resize: _Resize = None,
     model: Model = "",
     version: Version = "",
     as_json: AsJson = False,
@@ -49,6 +51,7 @@ def act(
         observation=Observation(read_images(image or ()), _numbers(robot_state) if robot_state else None),
         goal=Goal(read_images(goal or ()), tuple(recipe or ()), goal_text),
         model=ModelRef(model, version),
+        resize=resize,
     )
     answer = call(ImitationClient, "imitation", lambda client: client.act(request))
     print_json(wire.to_json(answer)) if as_json else _show_answer(answer)
