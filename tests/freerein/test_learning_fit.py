@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torch import nn
 
 from freerein.errors import FailedPrecondition, OutOfStorage
@@ -145,6 +146,8 @@ def test_a_training_killed_by_sigkill_goes_on_to_the_same_bits(
     digest, events = run(tmp_path / "cut")
     assert events[0] == FitEvent("resumed", 5)
     assert (digest, rows(tmp_path / "cut")) == undisturbed
+    shown = EventAccumulator(str(tmp_path / "cut" / "tensorboard")).Reload().Scalars("train/train_loss")
+    assert [each.step for each in shown] == [json.loads(row)["step"] for row in rows(tmp_path / "cut").splitlines()]
 
 
 def test_sigterm_saves_and_ends_and_the_training_goes_on_to_the_same_bits(

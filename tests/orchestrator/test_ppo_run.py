@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
@@ -92,6 +93,23 @@ def test_a_run_goes_on_with_the_training_of_another(ppo: Callable[..., Any], tra
     figures = [run.artifact("policy.json")["figures"] for run in (trained, more)]
     assert [each["iterations"] for each in figures] == [2, 3]
     assert [each["timesteps"] for each in figures] == [96, 128]
+
+
+def test_a_step_of_a_pipeline_goes_on_with_an_earlier_one(
+    new_run: Callable[..., Any], services: dict[str, Any], tmp_path: Path
+) -> None:
+    own = {**FAST, "reward": "oracle", "encoder": "spatial", "iterations": 1}
+    steps = [
+        {"name": "first", "kind": "ppo", "config": own},
+        {"name": "more", "kind": "ppo", "config": own | {"resume_from": "first", "iterations": 2}},
+    ]
+    run = new_run(tmp_path, "pipeline", {"steps": steps}, FREEREIN_SIM_ADDRESS=services["sim"].address)
+    run.check()
+    assert run.do()
+    assert run.artifact("more.policy.json")["figures"]["iterations"] == 3
+    assert run.artifact("more.policy.json")["privileged"]
+    shown = [EventAccumulator(str(run.folder / "tensorboard" / step)).Reload() for step in ("first", "more")]
+    assert [[each.step for each in curve.Scalars("train/lr")] for curve in shown] == [[32], [64, 96]]
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ class LocalQueue:
                 raise FailedPrecondition(
                     f"A {self._store.noun} to resume must be failed or cancelled; this one is {state}.",
                     field="id",
-                    hint=f"Start a new {self._store.noun}, or cancel this one first.",
+                    hint=f"Start a new {self._store.noun}, or cancel this one if it has not ended.",
                 )
             if self._running == job_id:
                 raise Overloaded(f"The last child of this {self._store.noun} is still ending.", hint="Try again.")
