@@ -156,7 +156,7 @@ async def test_a_flood_of_frames_ends_its_connection(one: bytes) -> None:
     service.session.may_answer.clear()
     async with service.connection() as (protocol, client):
         protocol.data_received(one * 3000)
-        await client.is_told_to_close(1008, b"frames may be 128 a second")
+        await client.is_told_to_close(1008, b"overloaded: Send messages whole, one by one. Frames besides answered")
         service.session.may_answer.set()
     assert service.memory.taken == 0
 
@@ -252,9 +252,32 @@ async def test_a_text_in_no_utf8_ends_its_connection_without_a_traceback(
     with caplog.at_level(logging.INFO, "freerein"):
         async with Service(LIMITS).connection() as (protocol, client):
             protocol.data_received(sent * 3)
-            await client.is_told_to_close(1007, b"a text must be UTF-8")
-    assert [record.message for record in caplog.records if record.levelno >= logging.INFO] == ["call"]
-    assert not [record for record in caplog.records if record.exc_info]
+            await client.is_told_to_close(
+                1007, b"malformed_request: Send binary messages. A text must be UTF-8; it is not."
+            )
+    (line,) = caplog.records
+    assert (line.message, vars(line)["code"], line.exc_info) == ("call", "malformed_request", None)
+
+
+@pytest.mark.fault("C24")
+@pytest.mark.parametrize(
+    ("sent", "code"),
+    [
+        (frame(BINARY, b"x" * 100)[:50], "deadline_exceeded"),
+        (frame(BINARY, bytes(90_000)) + frame(BINARY, bytes(90_000))[:-1], "overloaded"),
+        (frame(PONG) * 3000, "overloaded"),
+        (frame(BINARY, is_last=False) + frame(FRAGMENT, is_last=False) * 1100, "too_large"),
+        (frame(BINARY, bytes(9 * 2**20))[:100], "too_large"),
+        (b"\xff\xff", "malformed_request"),
+    ],
+    ids=["late", "much", "flood", "fragments", "large", "no frame"],
+)
+async def test_the_log_says_which_rule_a_client_broke(sent: bytes, code: str, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, "freerein"):
+        async with Service(QUICK).connection() as (protocol, client):
+            protocol.data_received(sent)
+            await asyncio.wait_for(client.closed.wait(), 60)
+    assert [(line.message, vars(line)["code"]) for line in caplog.records] == [("call", code)]
 
 
 @pytest.mark.fault("I21")

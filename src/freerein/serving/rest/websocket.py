@@ -22,6 +22,8 @@ from freerein.serving.metrics import Metrics
 from freerein.serving.rest.origin_policy import OriginPolicy
 
 PATH = "/"
+ERROR = "freerein.error"
+"""Key of the event that ends a connection for the error that it was closed with, where the client broke a rule."""
 _CLOSE_CODES = {"internal": 1011, "unavailable": 1012, "overloaded": 1013}
 _CLEAN_CODES = (1000, 1001)
 _VIOLATION = 1008
@@ -113,6 +115,8 @@ class WebSocketEndpoint:
             ) from None
         if event is None:
             raise self._health.error()
+        if ERROR in event:
+            raise event[ERROR]
         if event["type"] == "websocket.disconnect":
             if event["code"] not in _CLEAN_CODES:
                 raise WebSocketDisconnect(event["code"])
@@ -146,5 +150,5 @@ async def _refuse(socket: WebSocket, error: ServiceError, request_id: str) -> No
             await socket.send_denial_response(Response(problem_document(error, request_id), error.http_status, headers))
         else:
             await socket.close(_CLOSE_CODES.get(error.code, _VIOLATION), close_reason(error))
-    except WebSocketDisconnect:  # the client is gone
+    except (WebSocketDisconnect, ServiceError):  # the client is gone, or was told already
         pass

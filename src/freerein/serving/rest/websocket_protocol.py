@@ -8,10 +8,11 @@ from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import Frame
 
-from freerein.errors import DeadlineExceeded, Overloaded, ServiceError
+from freerein.errors import DeadlineExceeded, MalformedRequest, Overloaded, ServiceError, TooLarge
 from freerein.serving.error_replies import close_reason
 from freerein.serving.limits import COPIES, Limits
 from freerein.serving.memory import Memory, Share
+from freerein.serving.rest.websocket import ERROR
 
 _MAX_FRAMES = 1024
 _CLOSE_S = 1.0
@@ -29,6 +30,7 @@ class BoundedWebSocketProtocol(WebSocketsSansIOProtocol):
 
     limits: ClassVar[Limits]
     memory: ClassVar[Memory]
+    _error: ServiceError | None = None
     _abort_timer: asyncio.TimerHandle | None = None
     _receipt_timer: asyncio.TimerHandle | None = None
 
@@ -66,7 +68,8 @@ class BoundedWebSocketProtocol(WebSocketsSansIOProtocol):
     def handle_cont(self, event: Frame) -> None:
         """Takes a fragment of a message. Closes the connection when there are too many: each takes memory."""
         if len(self.frames) >= _MAX_FRAMES:
-            self._fail(_TOO_BIG, f"a message may have {_MAX_FRAMES} fragments")
+            error = TooLarge(f"A message may have {_MAX_FRAMES} fragments; it has more.", hint="Send it whole.")
+            self._fail(_TOO_BIG, error)
         else:
             super().handle_cont(event)
 
@@ -81,7 +84,9 @@ class BoundedWebSocketProtocol(WebSocketsSansIOProtocol):
         closing = self.conn.close_sent
         if self.close_sent or closing is None:
             return
-        self.queue.put_nowait({"type": "websocket.disconnect", "code": closing.code, "reason": closing.reason})
+        self._error = self._error or _violation(closing.code)
+        event: Any = {"type": "websocket.disconnect", "code": closing.code, ERROR: self._error}
+        self.queue.put_nowait(event)
         self.transport.write(b"".join(self.conn.data_to_send()))
         self.close_sent = True
         self.close_timer = self.loop.call_later(self.close_timeout, self.transport.close)
@@ -89,7 +94,9 @@ class BoundedWebSocketProtocol(WebSocketsSansIOProtocol):
     def send_receive_event_to_app(self) -> None:
         """Queues a whole message. Closes the connection when it is a text in no UTF-8."""
         if self.curr_msg_data_type == "text" and not _is_utf8(self.frames):
-            self._fail(_INVALID_DATA, "a text must be UTF-8")
+            self._fail(
+                _INVALID_DATA, MalformedRequest("A text must be UTF-8; it is not.", hint="Send binary messages.")
+            )
             return
         if not self.close_sent:
             self._queued.append(sum(map(len, self.frames)))
@@ -118,7 +125,7 @@ class BoundedWebSocketProtocol(WebSocketsSansIOProtocol):
     async def send(self, message: Any) -> None:
         """Sends a message. A refusal in place of the handshake completes it, too, which uvicorn would call an error."""
         if self.close_sent and self.initial_response is None:  # uvicorn would call it an error of the endpoint
-            raise ClientDisconnected
+            raise self._error or ClientDisconnected
         await super().send(message)
         if message["type"] == "websocket.http.response.body":
             self.handshake_complete = True
@@ -145,12 +152,13 @@ class BoundedWebSocketProtocol(WebSocketsSansIOProtocol):
         self._frames = max(0.0, self._frames - _FRAMES_PER_S * (now_s - self._frames_at_s))
         self._frames_at_s = now_s
         if self._frames > _MOST_FRAMES:
-            self._fail(_POLICY_VIOLATION, f"frames may be {_FRAMES_PER_S} a second, besides answered messages")
+            detail = f"Frames besides answered messages may be {_FRAMES_PER_S} a second; there are more."
+            self._fail(_POLICY_VIOLATION, Overloaded(detail, hint="Send messages whole, one by one."))
             return
         try:
             self._count_bytes()
         except Overloaded as error:
-            self._refuse(_TRY_AGAIN_LATER, error)
+            self._fail(_TRY_AGAIN_LATER, error)
 
     def _count_bytes(self) -> None:
         partial = len(self.conn.reader.buffer) + (self.conn.current_size or 0)
@@ -172,7 +180,7 @@ class BoundedWebSocketProtocol(WebSocketsSansIOProtocol):
             f"A message must arrive within {within_s:g} s; this one did not.",
             hint="Send less, or raise FREEREIN_RECEIPT_S.",
         )
-        self._refuse(_POLICY_VIOLATION, error)
+        self._fail(_POLICY_VIOLATION, error)
 
     def _put_off_ping(self) -> None:
         """Takes whatever arrives for the answer to a ping: some tunnels drop pongs."""
@@ -181,16 +189,21 @@ class BoundedWebSocketProtocol(WebSocketsSansIOProtocol):
             self.pong_timer = self.pending_ping_payload = None
             self.schedule_ping()
 
-    def _refuse(self, code: int, error: ServiceError) -> None:
-        self._fail(code, close_reason(error))
-
-    def _fail(self, code: int, reason: str) -> None:
-        """Closes the connection, and forgets what arrived."""
-        self.conn.fail(code, reason)
+    def _fail(self, code: int, error: ServiceError) -> None:
+        """Closes the connection with an error, and forgets what arrived."""
+        self._error = error
+        self.conn.fail(code, close_reason(error))
         self.frames = []
         if self.conn.close_sent is None:  # the endpoint has not accepted it yet
             self.transport.close()
         self.handle_parser_exception()
+
+
+def _violation(code: int) -> ServiceError:
+    """Returns the error of a connection that breaks the WebSocket protocol, or its limit of a message's bytes."""
+    if code == _TOO_BIG:
+        return TooLarge("A message is over the limit of a WebSocket.", hint="Send less per message.")
+    return MalformedRequest("The client must keep to the WebSocket protocol; it does not.", hint="Use a library.")
 
 
 def _is_utf8(frames: list[bytes]) -> bool:
