@@ -14,7 +14,7 @@ from tests.lerobot_dataset import CAMERA, DATA, EPISODES, INFO, STEPS, VECTOR, p
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
-from freerein.data import Dataset, LeRobotOptions, LeRobotSource, check, import_trajectories
+from freerein.data import Dataset, LeRobotOptions, LeRobotSource, check, import_trajectories, tag
 from freerein.data.frame_axes import frame_size
 from freerein.errors import InvalidInput
 
@@ -179,6 +179,16 @@ def test_a_camera_that_cannot_be_read_is_left_out_aloud(
     assert reason in note
     assert key.rpartition(".")[2].lower() in note.lower()
     assert list(Dataset(data_dir / "datasets/ours").spec.cameras) == ["top"]
+
+
+def test_check_names_a_camera_that_cannot_be_read_where_the_dataset_lies(root: Path) -> None:
+    depth = CAMERA | {"shape": [4, 6, 1]}
+    add_column(root, "observation.images.depth", [deep(step) for step in range(3 * STEPS)], depth)
+    tag(root, b"trajectory,skills\n0,a\n1,b\n2,a\n")
+    assert [(each.where, each.severity) for each in check(root) if each.where.startswith("camera")] == [
+        ("camera depth", "warning")
+    ]
+    assert [each.frames["top"].shape for each in Dataset(root).stream([1], cameras=["top"])] == [(STEPS, 4, 6, 3)]
 
 
 def test_a_missing_video_is_left_out_where_another_camera_is_whole(root: Path, data_dir: Path) -> None:

@@ -236,7 +236,12 @@ def _first_frame_problems(dataset: Dataset) -> Iterator[Problem]:
     items = tagged[:: -(-len(tagged) // MOST_TRAJECTORIES) or 1]
     tags = [dataset.skills[index] for index in items]
     for camera in dataset.spec.cameras:
-        frames = [low_resolution(frame) for frame in dataset.first_frames(items, camera)]
+        try:
+            frames = [low_resolution(frame) for frame in dataset.first_frames(items, camera)]
+        except (InvalidInput, UnsupportedMedia) as error:
+            is_only = len(dataset.spec.cameras) == 1
+            yield Problem(f"camera {camera}", error.detail, error.hint, "error" if is_only else "warning")
+            continue
         for test in first_frame_tests(np.array(frames), tags, rng=np.random.default_rng(0)):
             if test.auroc >= _TELLING_AUROC and test.p_value <= _SIGNIFICANT:
                 sentence = (
