@@ -149,6 +149,18 @@ async def test_up_is_ready_with_a_leaf_of_an_authority_and_says_why_it_is_not(
     assert (status.state, status.reason[: len(reason)]) == ("not ready" if reason else "ready", reason)
 
 
+async def test_a_client_with_tls_of_a_service_without_is_told(issue: Any) -> None:
+    server = aio.server()
+    port = server.add_insecure_port("127.0.0.1:0")
+    await server.start()
+    _, chain = issue("127.0.0.1")
+    async with SimClient(Channel(f"127.0.0.1:{port}", root_certificates=chain.read_bytes())) as client:
+        with pytest.raises(Unavailable) as raised:
+            await client.list_tasks(ListTasksRequest(), timeout_s=60.0)
+    assert "does not speak TLS" in raised.value.hint
+    await server.stop(None)
+
+
 async def test_a_client_of_a_wrong_name_is_told_who_names_the_right_ones(issue: Any) -> None:
     for names, error in ((("robots.example",), Unavailable), (("127.0.0.1",), Unimplemented)):
         key, chain = issue(*names)

@@ -21,10 +21,11 @@ M = TypeVar("M", bound=Message)
 _DETAILS_KEY = "grpc-status-details-bin"
 _TOO_LARGE = "larger than max"  # gRPC's message for one over the limit; its status is that of a full queue
 _BROKEN = "Internal error from Core"  # grpc.aio's message for a stream that ended during a write
-_TLS = "verif"  # in `certificate verify failed` and `Hostname Verification Check failed`
-_TLS_HINT = (
-    "Its certificate must be trusted and name the host in this address; `freerein doctor` says what is wrong with it."
-)
+_TLS_HINTS = {
+    "wrong_version_number": "The service does not speak TLS: leave out the certificate, or start it with one.",
+    # in `certificate verify failed` and `Hostname Verification Check failed`
+    "verif": "Its certificate must be trusted and name the host in this address; `freerein doctor` says what is wrong.",
+}
 _BY_STATUS: dict[grpc.StatusCode, type[ServiceError]] = {
     grpc.StatusCode.CANCELLED: errors.Unavailable,  # gRPC's own, of a call that a server that stops has not begun
     grpc.StatusCode.DEADLINE_EXCEEDED: errors.DeadlineExceeded,
@@ -83,7 +84,7 @@ def _grpc_own_error(error: aio.AioRpcError, *, call: str, proxy: str) -> Service
         cls = errors.TooLarge
     elif _BROKEN in details:
         cls = errors.Unavailable
-    hint = _TLS_HINT if _TLS in details.lower() else _HINTS.get(cls, "")
+    hint = next((hint for part, hint in _TLS_HINTS.items() if part in details.lower()), _HINTS.get(cls, ""))
     if proxy and cls in (errors.Unavailable, errors.DeadlineExceeded):
         hint += f" It was called by the proxy in `{proxy}`: write its host into `no_proxy` to call it directly."
     return cls(f"{call} failed: {details}.", hint=hint)
