@@ -27,7 +27,6 @@ from freerein.data import (
 )
 from freerein.errors import InvalidInput, NotFound
 from freerein.jobs import wall_clock
-from freerein.regular_files import read_regular
 from freerein.types.common import Trajectory
 
 app = typer.Typer(help="Import, inspect, check and annotate datasets.", no_args_is_help=True, add_completion=False)
@@ -115,7 +114,7 @@ def _source(
     texts: Mapping[str, TextKind | None],
 ) -> Source:
     """Returns the trajectories of a folder of a layout; raises InvalidInput where an option is of another one."""
-    table = read_regular(tags, name=tags.name) if tags else None
+    table = tags.read_bytes() if tags else None
     if kind == "lerobot":
         return LeRobotSource(path, size=size, options=options, tags=table, **texts)
     if options != LeRobotOptions() or any(texts.values()) or (kind == "mime" and tags):
@@ -195,7 +194,7 @@ def tag(
     All lines are valid, or nothing changes; trajectories that are not listed keep their tags.
     """
     notes = list[str]()
-    count = data.tag(dataset_root(name), read_regular(table, name=table.name), on_note=notes.append)
+    count = data.tag(dataset_root(name), table.read_bytes(), on_note=notes.append)
     _show_count(name, "tagged", count, notes, as_json=as_json)
 
 
@@ -225,7 +224,7 @@ def label(
     that are not listed have no label.
     """
     notes, options = list[str](), LabelOptions(trajectory, unit, tier)
-    text = read_regular(table, name=table.name)
+    text = table.read_bytes()
     count = data.label(dataset_root(name), text, options=options, with_tags=with_tags, on_note=notes.append)
     _show_count(name, "labelled", count, notes, as_json=as_json)
 
