@@ -11,6 +11,7 @@ from experiments.workbench.arms import Arm
 from experiments.workbench.pipelines import run_pipeline
 
 from freerein import metrics
+from freerein_imitation.model.known_texts import KnownTexts
 from freerein_orchestrator.kinds import KINDS
 
 RNG = np.random.default_rng(0)
@@ -115,3 +116,8 @@ def test_a_pipeline_runs_on_services_of_its_own(tmp_path: Path) -> None:
     assert len(first["recipes"]) == 2
     assert ticks
     assert run_pipeline(steps, tmp_path, lambda: None) == first
+
+
+def test_every_wording_that_a_language_policy_is_told_is_one_that_it_acts_on() -> None:
+    known = KnownTexts([f"a yellow block to the {side} of a green block" for side in ("left", "right")])
+    assert all(known.read(wording).caption for wording in policies.WORDINGS_OF_SIDES)
