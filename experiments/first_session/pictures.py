@@ -6,7 +6,7 @@ from pathlib import Path
 from experiments.first_session.record import Record
 from freerein.cli.connection import channel_to
 from freerein.cli.demo import pictures
-from freerein.cli.demo.evaluations import filmstrip, labelled_trajectory, reward_examples
+from freerein.cli.demo.evaluations import filmstrip, filmstrip_failure, labelled_trajectory, reward_examples
 from freerein.cli.demo.pictures import RewardExample
 from freerein.cli.settings import CliSettings
 from freerein.clients import RewardClient
@@ -23,8 +23,9 @@ async def draw(record: Record, folder: Path, addresses: Mapping[str, str]) -> No
     examples = await _reward_examples(record, addresses["reward"])
     shown = "first held-out image of each relation, of two blocks and of four"
     pictures.rewards_figure(examples, images=shown).savefig(folder / "rewards.png")
-    if goals := filmstrip(record.evaluation("landmarks")):
-        pictures.filmstrip_figure(goals).savefig(folder / "filmstrip.png")
+    landmarks = record.evaluation("landmarks")
+    if goals := filmstrip(landmarks):
+        pictures.filmstrip_figure(goals, filmstrip_failure(landmarks)).savefig(folder / "filmstrip.png")
 
 
 async def _reward_examples(record: Record, address: str) -> list[RewardExample]:

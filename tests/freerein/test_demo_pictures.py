@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgba
 
+from freerein.cli.demo.evaluations import Evaluation, filmstrip_failure
 from freerein.cli.demo.pictures import (
     FilmstripGoal,
     LabelledTrajectory,
@@ -62,6 +64,35 @@ def test_a_filmstrip_fills_the_width(count: int, height: int, width: int) -> Non
     assert boxes[0].x0 == pytest.approx(0.06 * page, abs=3)
     gaps = [after.x0 - before.x1 for before, after in itertools.pairwise(boxes)]
     assert max(gaps) < 0.07 * boxes[0].width
+
+
+def test_similarities_of_all_images_have_one_scale_which_the_last_one_names() -> None:
+    figure = drawn(rewards_figure([example([0.9, -0.9, 0.1]), example([0.0, 0.05, 0.1])], images="two"))
+    first, last = figure.axes[4], figure.axes[9]
+    assert first.get_xlim() == last.get_xlim() == pytest.approx((-0.945, 0.945))
+    assert (first.get_xlabel(), last.get_xlabel()) == ("", "cosine similarity")
+    assert len(first.get_xticks()) == 0 < len(last.get_xticks())
+
+
+def test_the_robot_of_least_success_is_shown_below_that_of_median_success() -> None:
+    reached, missed = (FilmstripGoal(pixels(64, 64), pixels(64, 64), 9, 0.5, each) for each in (True, False))
+    figure = drawn(filmstrip_figure([reached] * 4, [reached, missed]))
+    above, below = figure.axes[:8], figure.axes[8:]
+    assert [axes.spines["left"].get_edgecolor() for axes in (above[4], below[5])] == [to_rgba(GOOD), to_rgba(BAD)]
+    assert below[4].get_ylabel().split() == ["seen,", "worst", "robot"]
+    assert below[5].get_xlabel() == "step 9 · confidence 0.50"
+    assert max(axes.get_window_extent().y1 for axes in below) < min(axes.get_window_extent().y0 for axes in above)
+    assert not below[7].axison
+    assert all(axes.yaxis.label.get_window_extent().x0 > 0 for axes in figure.axes if axes.get_ylabel())
+    assert above[0].get_window_extent().width == pytest.approx(below[0].get_window_extent().width, abs=2)
+
+
+def test_a_filmstrip_has_the_worst_robot_only_where_the_evaluation_kept_one() -> None:
+    frames = {name: np.stack([pixels(8, 8)] * 2) for name in ("goals", "ends", "worst_goals", "worst_ends")}
+    pursuits = [{"landmark": n, "step": n, "confidence": 0.5, "at_landmark": not n} for n in range(2)]
+    kept = Evaluation({"worst_pursuits": pursuits}, pursuits, frames)
+    assert [each.reached for each in filmstrip_failure(kept)] == [True, False]
+    assert filmstrip_failure(Evaluation({}, pursuits, {name: frames[name] for name in ("goals", "ends")})) == ()
 
 
 def test_a_timeline_names_what_it_shows() -> None:

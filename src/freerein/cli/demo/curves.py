@@ -23,7 +23,7 @@ def returns_figure(curve: Curve, bars: Mapping[str, Mapping[str, Measured]], *, 
     """Returns a training's learned return by iteration, and beside it panels of returns by policy."""
     figure = new_figure(5.2, title, subtitle, left=0.05, top=0.78)
     widths = [4, *map(len, bars.values())]  # as many as bars, so that their names fit
-    left, *panels = figure.subplots(1, 1 + len(bars), gridspec_kw={"width_ratios": widths, "wspace": 0.14})
+    left, *panels = figure.subplots(1, 1 + len(bars), gridspec_kw={"width_ratios": widths, "wspace": 0.2})
     figure.subplots_adjust(right=0.985, bottom=0.12)
     _draw_returns(left, curve)
     top = 1.1 * max(each.high or each.value for group in bars.values() for each in group.values())
@@ -44,6 +44,7 @@ def episodes_figure(returns: Mapping[str, Sequence[float]], *, title: str, subti
         axes.bar(at, values, width=width, align="edge", color=(INK, QUIET)[place % 2], label=name)
     axes.set(xticks=[], xlim=(-0.2, len(values)), ylim=(0, 100))
     axes.set_xlabel("episodes", color=FAINT)
+    axes.set_ylabel("timesteps of 100", color=FAINT)
     axes.legend(loc="upper right", ncols=len(returns), bbox_to_anchor=(1, 1.16))
     return figure
 
@@ -56,6 +57,7 @@ def _draw_returns(axes: Any, curve: Curve) -> None:
     axes.plot(iterations, near @ returns / near.sum(axis=1), color=INK, linewidth=2.2)
     axes.set(xlim=(iterations[0], iterations[-1]), ylim=(0, None))
     axes.set_xlabel("iterations", color=FAINT)
+    axes.set_ylabel("sum of rewards of an episode", color=FAINT)
     axes.set_title("return by the learned reward", fontsize=12)
 
 
@@ -65,4 +67,5 @@ def _draw_bars(axes: Any, bars: Mapping[str, Measured], *, name: str, top: float
     axes.bar(list(bars), means, yerr=(means - low, high - means), color=QUIET, width=0.62, ecolor=INK, capsize=5)
     axes.set_title(name, fontsize=12)
     axes.set(ylim=(0, top))
+    axes.set_ylabel("timesteps of 100", color=FAINT)
     axes.tick_params(axis="x", labelsize=9.5, labelcolor=INK)

@@ -81,10 +81,23 @@ def labelled_trajectory(evaluation: Evaluation) -> LabelledTrajectory:
 
 def filmstrip(evaluation: Evaluation) -> tuple[FilmstripGoal, ...]:
     """Returns the landmarks that the robot of median success was done with, of an evaluation of form `landmarks`."""
-    goals, ends = evaluation.frames["goals"], evaluation.frames["ends"]
+    return _pursued(evaluation.shown, evaluation.frames["goals"], evaluation.frames["ends"])
+
+
+def filmstrip_failure(evaluation: Evaluation) -> tuple[FilmstripGoal, ...]:
+    """Returns those of the robot of least success; none where it is the median one, or the evaluation kept none."""
+    if "worst_ends" not in evaluation.frames:
+        return ()
+    frames = evaluation.frames
+    return _pursued(evaluation.result["worst_pursuits"], frames["worst_goals"], frames["worst_ends"])
+
+
+def _pursued(
+    pursuits: Sequence[Mapping[str, Any]], goals: npt.NDArray[np.uint8], ends: npt.NDArray[np.uint8]
+) -> tuple[FilmstripGoal, ...]:
     return tuple(
         FilmstripGoal(goals[one["landmark"]], end, one["step"], one["confidence"], one["at_landmark"])
-        for one, end in zip(evaluation.shown, ends, strict=True)
+        for one, end in zip(pursuits, ends, strict=True)
     )
 
 

@@ -1,15 +1,17 @@
 """The first minute: what the models that come with freerein can do."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 from rich.text import Text
 
 from freerein import metrics
 from freerein.cli.commands.sim import record
 from freerein.cli.connection import SEGMENT_TIMEOUT_S
 from freerein.cli.demo import curves, pictures
-from freerein.cli.demo.evaluations import filmstrip, reward_examples
+from freerein.cli.demo.evaluations import filmstrip, filmstrip_failure, reward_examples
 from freerein.cli.demo.parts import HELD_OUT_SEED, PREFIX, Demo, Part
 from freerein.cli.demo.pictures import RewardExample
 from freerein.cli.demo.report import Figure
@@ -45,11 +47,21 @@ async def label_a_demonstration(demo: Demo) -> Sequence[Figure]:
         answer = await demo.clients.segmentation.segment(request, timeout_s=SEGMENT_TIMEOUT_S)
     labelled = timeline.at_rate(answer, fps=dataset.spec.fps)
     demo.reporter.show(lambda console: timeline.show(labelled, console))
-    picture.draw(path, labelled, [frames[t] for t in np.linspace(0, len(frames) - 1, picture.FILM_FRAMES, dtype=int)])
+    with demo.reporter.waiting("rendering"):
+        film = await _rendered(demo, asked, timesteps=len(frames))
+    picture.draw(path, labelled, [film[t] for t in np.linspace(0, len(film) - 1, picture.FILM_FRAMES, dtype=int)])
     demo.reporter.picture(path)
     predicted = np.array([dataset.spec.skills.index(skill) for skill in answer.skills])[answer.labels]
     right, longest = metrics.frame_accuracy(predicted, labels), metrics.majority_accuracy(labels)
     return [Figure("timesteps labelled right", right, "%", None, longest, "longest skill")]
+
+
+async def _rendered(demo: Demo, asked: DemonstrateRequest, *, timesteps: int) -> npt.NDArray[np.uint8]:
+    """Returns the frames of the demonstration at the size of pictures, uint8 (T, 256, 256, C); recorded again."""
+    larger = replace(asked, height=pictures.RENDERED_PX, width=pictures.RENDERED_PX, privileged=False)
+    async for shown in demo.clients.sim.demonstrate(larger):
+        (frames,) = shown.trajectory.frames.values()
+    return frames[:timesteps]
 
 
 async def judge_images(demo: Demo) -> Sequence[Figure]:
@@ -96,7 +108,7 @@ async def follow_goal_images(demo: Demo) -> Sequence[Figure]:
     for number, goal in enumerate(goals, 1):
         said = f"step {goal.step:>3}: at goal image {number}, says the model with confidence {goal.confidence:.2f}"
         demo.reporter.line(f"{said}; {'true' if goal.reached else 'not true'}")
-    demo.save(pictures.filmstrip_figure(goals), "3-goal-images")
+    demo.save(pictures.filmstrip_figure(goals, filmstrip_failure(followed)), "3-goal-images")
     free, flag = followed.figure("no_object_moves.landmarks_reached"), followed.figure("visited.goal_auroc")
     return [
         Figure.of("goal images reached", followed.figure("landmarks_reached"), "%", "random actions"),

@@ -14,7 +14,7 @@ from freerein.cli.demo.parts import HELD_OUT_SEED, PREFIX, Clients, Demo, Part
 from freerein.cli.demo.report import Figure
 from freerein.types.common import Goal, ModelRef, Observation
 from freerein.types.imitation import ActRequest, PublishPolicyRequest
-from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, ResetRequest, StepRequest
+from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, RenderRequest, ResetRequest, StepRequest
 
 _TASK, _SENTENCE = "blocks.yellow-left-of-green", "a yellow block to the left of a green block"
 _CAMERA = "front"
@@ -97,11 +97,11 @@ async def _show_episode(demo: Demo, run: str) -> None:
 
 
 async def _episode(clients: Clients, model: ModelRef, *, seed: int) -> list[npt.NDArray[np.uint8]]:
-    """Returns the frames that the policy saw in an episode, uint8 (H, W, 3) each."""
+    """Returns what the policy saw at each of its steps in an episode, drawn larger, uint8 (256, 256, 3) each."""
     created = await clients.sim.create_session(CreateSessionRequest(_TASK, seed=seed))
     session, step = created.session, 0
     frame = (await clients.sim.reset(ResetRequest(session, cameras=(_CAMERA,)))).frames[_CAMERA][0]
-    frames, state, executed = [frame], b"", None
+    frames, state, executed = [await _drawn(clients, session)], b"", None
     while step < created.task.max_episode_steps:
         seen = Observation((images.encode(frame, encoding="raw_rgb8", camera=_CAMERA),))
         asked = ActRequest(seen, Goal(text=_SENTENCE), executed, state, model=model)
@@ -113,9 +113,17 @@ async def _episode(clients: Clients, model: ModelRef, *, seed: int) -> list[npt.
             if stepped.terminated[0] or stepped.truncated[0]:
                 return frames
         frame = stepped.frames[_CAMERA][0]
-        frames.append(frame)
+        frames.append(await _drawn(clients, session))
     await clients.sim.close_session(CloseSessionRequest(session))
     return frames
+
+
+async def _drawn(clients: Clients, session: str) -> npt.NDArray[np.uint8]:
+    """Returns what a session shows now, at the size of pictures, uint8 (256, 256, 3)."""
+    side = pictures.RENDERED_PX
+    rendered = await clients.sim.render(RenderRequest(session, (_CAMERA,), side, side))
+    (frame,) = rendered.frames[_CAMERA]
+    return np.asarray(frame, np.uint8)
 
 
 LEARNED = (

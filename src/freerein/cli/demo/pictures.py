@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 Image = npt.NDArray[np.uint8]
 
+RENDERED_PX = 256
+"""Height and width of frames that are rendered for a picture, not for a model."""
+
 _WIDTH = 14.0  # inches
 _FILM_FRAMES = 9
 _GREATEST_OVERLAY = 0.75
@@ -69,7 +72,7 @@ class RewardExample:
         heatmaps: float32 (H, W) in [0, 1] per phrase.
         pixels: x and y of each phrase.
         texts: The goal text and its rivals.
-        similarities: float32 (texts,), similarity of the image and each text.
+        similarities: float32 (texts,), cosine similarity of the image and each text.
         truth: Index of the true text.
     """
 
@@ -106,23 +109,46 @@ def timeline_figure(trajectory: LabelledTrajectory, *, task: str) -> "Figure":
 
 
 @figure_style()
-def filmstrip_figure(goals: Sequence[FilmstripGoal]) -> "Figure":
-    """Returns each goal image above what the robot saw when its pursuit ended, as wide as the figure."""
+def filmstrip_figure(goals: Sequence[FilmstripGoal], failure: Sequence[FilmstripGoal] = ()) -> "Figure":
+    """Returns each goal image above what the robot saw when its pursuit ended, as wide as the figure.
+
+    Args:
+        goals: Those of the robot of median success.
+        failure: Those of the robot of least success, below; empty for none.
+    """
+    robots = [goals, failure] if failure else [goals]
     left, right, gap, above, below = 0.06, 0.99, 0.06, 1.0, 0.45  # fractions of the width; then inches
     height, width = goals[0].goal.shape[:2]
-    side = _WIDTH * (right - left) / (len(goals) + gap * (len(goals) - 1))  # width of an image, inches
-    row = side * height / width
+    columns = max(map(len, robots))
+    side = _WIDTH * (right - left) / (columns + gap * (columns - 1))  # width of an image, inches
+    row, between = side * height / width, below + gap * side
     figure = new_figure(
-        above + 2 * row + gap * side + below,
+        above + len(robots) * (2 * row + gap * side) + (len(robots) - 1) * between + below,
         "Following goal images never seen",
-        "robot of median success: what it saw when it went on to the next goal, and its confidence; "
-        "green: truly there; learned from random exploration",
+        "what a robot saw when it went on to the next goal, at the model's own resolution; green: truly there, red: "
+        "not; learned from random exploration",
         left=left,
         top=1.0,
     )
-    total = figure.get_figheight()
-    rows = figure.subplots(2, len(goals), squeeze=False, gridspec_kw={"wspace": gap, "hspace": gap * side / row})
-    figure.subplots_adjust(left=left, right=right, top=1 - above / total, bottom=below / total)
+    total, top = figure.get_figheight(), above
+    for name, shown in zip(("median", "worst"), robots, strict=False):
+        rows = figure.add_gridspec(
+            2,
+            columns,
+            left=left,
+            right=right,
+            top=1 - top / total,
+            bottom=1 - (top + 2 * row + gap * side) / total,
+            wspace=gap,
+            hspace=gap * side / row,
+        ).subplots(squeeze=False)
+        _draw_pursuits(rows, shown, name)
+        top += 2 * row + gap * side + between
+    return figure
+
+
+def _draw_pursuits(rows: Any, goals: Sequence[FilmstripGoal], name: str) -> None:
+    """Draws each goal image of a robot above what it saw; `rows` are 2 by as many axes or more."""
     for column, one in enumerate(goals):
         for axes, image, edge in zip(
             rows[:, column], (one.goal, one.seen), (FAINT, GOOD if one.reached else BAD), strict=True
@@ -130,10 +156,11 @@ def filmstrip_figure(goals: Sequence[FilmstripGoal]) -> "Figure":
             axes.imshow(image)
             axes.set(xticks=[], yticks=[])
             axes.spines[:].set(visible=True, color=edge, linewidth=2.5)
-        rows[1][column].set_xlabel(f"step {one.step} · {one.confidence:.2f}", labelpad=5)
-    for axes, name in zip(rows[:, 0], ("goal", "seen"), strict=True):
-        axes.set_ylabel(name, rotation=0, ha="right", va="center", fontsize=12, labelpad=8)
-    return figure
+        rows[1][column].set_xlabel(f"step {one.step} · confidence {one.confidence:.2f}", labelpad=5)
+    for axes in rows[:, len(goals) :].flat:
+        axes.axis("off")
+    for axes, what in zip(rows[:, 0], ("goal", f"seen,\n{name}\nrobot"), strict=True):
+        axes.set_ylabel(what, rotation=0, ha="right", va="center", fontsize=12, labelpad=8)
 
 
 @figure_style()
@@ -144,19 +171,19 @@ def rewards_figure(examples: Sequence[RewardExample], *, images: str) -> "Figure
         examples: The images.
         images: Says which ones they are.
     """
-    height = 2.5 * len(examples) + 1.1
+    height = 2.5 * len(examples) + 1.5
     figure = new_figure(
         height,
         "Where the things are, and which sentence fits best",
-        f"{images}; \N{CHECK MARK}: the true sentence; "
-        "green: it wins, red: another does; learned from unlabelled images and noun phrases",
+        f"{images}; \N{CHECK MARK}: the true sentence; green: it wins, red: another does\n"
+        "heat: where the model sees the words, relative to its peak; cross: where it sees them rather than the others",
         left=0.02,
-        top=1 - 0.95 / height,
+        top=1 - 1.15 / height,
     )
     columns = 1 + len(examples[0].phrases) + 2
     ratios = [1.0] * (columns - 2) + [1.35, 0.95]
     rows = figure.subplots(len(examples), columns, squeeze=False, gridspec_kw={"width_ratios": ratios, "wspace": 0.06})
-    figure.subplots_adjust(right=0.98, bottom=0.25 / height, hspace=0.16)
+    figure.subplots_adjust(right=0.98, bottom=0.6 / height, hspace=0.16)
     for axes, one in zip(rows, examples, strict=True):
         _draw_image(axes[0], one.image, "")
         for column, (phrase, heatmap, pixel) in enumerate(zip(one.phrases, one.heatmaps, one.pixels, strict=True), 1):
@@ -164,6 +191,12 @@ def rewards_figure(examples: Sequence[RewardExample], *, images: str) -> "Figure
             axes[column].plot(*pixel, "+", color=PAPER, markersize=14, markeredgewidth=2.2)
         _draw_texts(axes[-2], one)
         _draw_similarities(axes[-1], one)
+    every = np.concatenate([one.similarities for one in examples])
+    limits = 1.05 * min(0.0, float(every.min())), 1.05 * max(0.0, float(every.max()))
+    for axes in rows[:, -1]:
+        axes.set(xlim=limits, xticks=[])
+    rows[-1][-1].xaxis.set_major_locator(_few_ticks())
+    rows[-1][-1].set_xlabel("cosine similarity", color=FAINT)
     return figure
 
 
@@ -184,7 +217,7 @@ def new_figure(height: float, title: str, subtitle: str, *, left: float, top: fl
     figure = Figure(figsize=(_WIDTH, height))
     figure.subplots_adjust(left=left, top=top)
     figure.text(left, 1 - 0.38 / height, title, fontsize=16, fontweight="bold")
-    figure.text(left, 1 - 0.68 / height, subtitle, color=FAINT)
+    figure.text(left, 1 - 0.52 / height, subtitle, color=FAINT, va="top")
     return figure
 
 
@@ -214,8 +247,8 @@ def _draw_confidence(axes: Any, trajectory: LabelledTrajectory) -> None:
     axes.plot(steps, trajectory.confidence, color=INK, linewidth=1.4)
     wrong = np.flatnonzero(trajectory.labels != trajectory.truth)
     axes.plot(wrong + 0.5, np.full(len(wrong), 0.04), "|", color=BAD, markersize=7)
-    axes.set(xlim=(0, len(steps)), ylim=(0, 1.05), yticks=[0, 1])
-    axes.set_ylabel("confidence", rotation=0, ha="right", va="center", fontsize=12)
+    axes.set(xlim=(0, len(steps)), ylim=(0, 1.05), yticks=[0, 0.5, 1])
+    axes.set_ylabel("confidence\n(0 to 1)", rotation=0, ha="right", va="center", fontsize=12)
     axes.set_xlabel("timestep", color=FAINT)
 
 
@@ -253,6 +286,12 @@ def _draw_similarities(axes: Any, one: RewardExample) -> None:
     axes.axvline(0, color=FAINT, linewidth=0.8)
     axes.set(yticks=[], xticks=[], ylim=_level(one))
     axes.spines[:].set_visible(False)
+
+
+def _few_ticks() -> Any:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(nbins=4)
 
 
 def _level(one: RewardExample) -> tuple[float, float]:

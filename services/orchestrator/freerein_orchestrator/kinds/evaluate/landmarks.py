@@ -215,7 +215,7 @@ class LandmarksEvaluation:
         return [each.states[np.minimum(self._steps, len(each.states) - 1)] for each in explored]
 
     def result(self, trials: Sequence[Trial]) -> Result:
-        """Returns figures over the episodes whose random rollout was long enough, and a median one as a picture."""
+        """Returns figures over the episodes with long enough rollouts, and a median one and the worst as pictures."""
         values = [trial.values for trial in trials if trial.values]
         if not values:
             raise InvalidInput(
@@ -230,10 +230,19 @@ class LandmarksEvaluation:
         if "recognized" not in values[0]:
             return Result(figures, counts, film=film)
         figures |= _recognizer_figures(values, seed=seed)
-        median = sorted(sum(each["recognized"]) for each in values)[len(values) // 2]
-        shown = next(trial for trial in trials if f"goals-{median}" in trial.frames)
-        frames = {name: shown.frames[f"{name}-{median}"] for name in ("goals", "ends")}
-        return Result(figures, counts, pictures=shown.values["pursuits"], frames=frames, film=film)
+        recognized = sorted(sum(each["recognized"]) for each in values)
+        pursuits, frames = _shown(trials, recognized[len(recognized) // 2])
+        details: dict[str, Any] = {}
+        if recognized[0] < recognized[len(recognized) // 2]:
+            details["worst_pursuits"], worst = _shown(trials, recognized[0])
+            frames |= {f"worst_{name}": each for name, each in worst.items()}
+        return Result(figures, counts, details, pictures=pursuits, frames=frames, film=film)
+
+
+def _shown(trials: Sequence[Trial], recognized: int) -> tuple[list[dict[str, Any]], dict[str, npt.NDArray[np.uint8]]]:
+    """Returns the pursuits, goal images and last frames of the first robot that recognized so many landmarks."""
+    shown = next(trial for trial in trials if f"goals-{recognized}" in trial.frames)
+    return shown.values["pursuits"], {name: shown.frames[f"{name}-{recognized}"] for name in ("goals", "ends")}
 
 
 def _at_landmarks(
