@@ -92,8 +92,9 @@ def _watching(*words: str) -> "Iterator[subprocess.Popen[str]]":
             child.kill()
 
 
-def test_a_run_is_watched_line_by_line_to_its_end() -> None:
-    lines = _run(*FEW, "--watch").stdout.splitlines()
+def test_a_run_is_watched_line_by_line_to_its_end(orchestrator: Orchestrator) -> None:
+    watched = _run(*FEW, "--watch")
+    lines = watched.stdout.splitlines()
     run_id = lines[-1].split()[0]
 
     queued_at, ended_at = (datetime.fromisoformat(lines[place].split()[0]) for place in (0, -3))
@@ -102,6 +103,10 @@ def test_a_run_is_watched_line_by_line_to_its_end() -> None:
     assert f" run {run_id[:8]} succeeded 3/3 timesteps=" in lines[-3]
     _, name, state, *since, steps, _ = lines[-1].split()
     assert (name, state, since[-1], steps) == ("collect-few", "succeeded", "ago", "3/3")
+    assert "freerein fit segmentation few" in watched.stderr
+    link = f"{name}-{run_id[:6]}"
+    assert (orchestrator.service.data_dir / "named" / link / "config.json").is_file()
+    assert _json("watch", link)[-1]["id"] == run_id
 
 
 def test_watching_it_again_tells_the_same_story() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from freerein.video.reader import open_video
 from freerein_orchestrator.kinds import policy_video
-from freerein_orchestrator.kinds.policy_video import MAX_FRAMES, VIDEO, can_film, save_video
+from freerein_orchestrator.kinds.policy_video import MAX_FRAMES, VIDEO, can_film, max_frames, save_video
 
 
 @pytest.fixture
@@ -45,3 +45,24 @@ def test_without_pyav_the_log_says_so(
     monkeypatch.setattr(policy_video, "find_spec", lambda _name: None)
     assert not can_film(context)
     assert "freerein[video]" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("dt_s", "fps"), [(0.0, 240), (1e-4, 240), (3600.0, 1), (1 / 30, 30)])
+def test_any_pace_can_be_shown(context: Any, dt_s: float, fps: int) -> None:
+    save_video(context, np.zeros((3, 8, 8, 3), np.uint8), dt_s=dt_s)
+    with open_video(context.artifacts / VIDEO) as video:
+        assert video.info.fps == pytest.approx(fps)
+
+
+def test_a_pyav_that_cannot_encode_ends_no_run(
+    context: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(policy_video, "_CODEC", "missing")
+    save_video(context, np.zeros((3, 8, 8, 3), np.uint8), dt_s=0.1)
+    assert "cannot encode" in capsys.readouterr().err
+    assert not list(context.artifacts.iterdir())
+
+
+def test_large_frames_are_fewer() -> None:
+    assert max_frames(64, 64) == MAX_FRAMES
+    assert max_frames(1024, 1024) == 85

@@ -67,6 +67,7 @@ def test_a_run_leaves_a_policy_a_card_and_metrics(ppo: Callable[..., Any], train
     card = trained.artifact("policy.json")
     assert card["goal_text"] == "a red block on top of a yellow block"
     assert (card["reward"], card["privileged"], card["model"]["name"]) == ("learned", False, "default")
+    assert card["supervision"].endswith("; the simulator arranged episodes of training: start-on-the-way")
     assert card["figures"]["timesteps"] == 2 * (32 + 16)
     assert [row["step"] for row in trained.rows] == [1, 2]
     with open_video(trained.folder / "artifacts" / "policy.mp4") as video:
@@ -244,7 +245,9 @@ def test_the_oracles_reward_marks_a_policy_and_those_initialised_from_it_as_priv
     assert first["privileged"]
     assert second["privileged"]
     assert run.rows[0]["privileged"] == more.rows[0]["privileged"] == 1.0
-    assert first["supervision"].startswith("the task's true reward")
+    assert first["supervision"].startswith(
+        "the task's true reward, which is privileged: to compare with; the simulator"
+    )
     assert second["init"]["sha256"] == first["sha256"]
     assert second["supervision"].startswith("goal text; ")
     assert second["supervision"].endswith(f"supervision: {first['supervision']}")

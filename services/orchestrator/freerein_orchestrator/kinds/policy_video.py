@@ -15,8 +15,9 @@ from freerein.atomic_files import write_atomic
 from freerein_orchestrator.kinds.context import RunContext
 
 VIDEO = "policy.mp4"
-MAX_FRAMES = 300
+MAX_FRAMES, _MAX_BYTES = 300, 2**28
 _HEIGHT = 256
+_LEAST_FPS, _MOST_FPS = 1.0, 240.0
 _CODEC = "libx264"
 _MISSING = f"{VIDEO} is left out: it needs PyAV, which is not installed. pip install 'freerein[video]'"
 
@@ -29,37 +30,50 @@ def can_film(context: RunContext) -> bool:
     return False
 
 
+def max_frames(height: int, width: int) -> int:
+    """Returns the most frames of a size, of three channels, that a video has: a bounded number and 256 MiB at most."""
+    return max(1, min(MAX_FRAMES, _MAX_BYTES // (3 * height * width)))
+
+
 def save_video(context: RunContext, frames: npt.NDArray[np.uint8], *, dt_s: float) -> None:
-    """Writes an artifact, whole or not at all.
+    """Writes an artifact, whole or not at all; says so in the run's log where PyAV cannot encode it.
 
     Args:
         context: The run's.
-        frames: uint8 (T, H, W, C), one or three channels; those after `MAX_FRAMES` are left out.
-        dt_s: Seconds from one frame to the next.
+        frames: uint8 (T, H, W, C), one or three channels; those after `max_frames` are left out.
+        dt_s: Seconds from one frame to the next; shown at 1 to 240 frames per second.
 
     Raises:
         OSError: The disk is full or broken.
     """
-    write_atomic(context.artifacts / VIDEO, _mp4(_enlarged(frames[:MAX_FRAMES]), dt_s))
+    import av
+
+    fps = min(_MOST_FPS, max(_LEAST_FPS, 1 / dt_s if dt_s else _MOST_FPS))
+    try:
+        video = _mp4(frames[: max_frames(*frames.shape[1:3])], Fraction(fps).limit_denominator(1000))
+    except (av.FFmpegError, ValueError) as error:  # as of a build without the codec; the run is worth more
+        context.log_line(f"{VIDEO} is left out: PyAV cannot encode it: {error}")
+    else:
+        write_atomic(context.artifacts / VIDEO, video)
 
 
-def _mp4(frames: npt.NDArray[np.uint8], dt_s: float) -> bytes:
+def _mp4(frames: npt.NDArray[np.uint8], fps: Fraction) -> bytes:
     import av
 
     file = io.BytesIO()
     with av.open(file, "w", format="mp4") as container:
-        stream: Any = container.add_stream(_CODEC, rate=Fraction(1 / dt_s).limit_denominator(1000))
-        _, stream.height, stream.width, _ = frames.shape
+        stream: Any = container.add_stream(_CODEC, rate=fps)
+        stream.height, stream.width, _ = _enlarged(frames[0]).shape
         stream.pix_fmt = "yuv420p"  # which browsers show
         for frame in frames:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(_enlarged(frame), format="rgb24")))
         container.mux(stream.encode(None))
     return file.getvalue()
 
 
-def _enlarged(frames: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Returns frames in colour, enlarged by a whole factor, with even sides, which the codec needs."""
-    factor = max(1, _HEIGHT // frames.shape[1])
-    large = np.broadcast_to(frames, (*frames.shape[:3], 3)).repeat(factor, axis=1).repeat(factor, axis=2)
-    _, height, width, _ = large.shape
-    return np.pad(large, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+def _enlarged(frame: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Returns a frame in colour, enlarged by a whole factor, with even sides, which the codec needs."""
+    factor = max(1, _HEIGHT // frame.shape[0])
+    large = np.broadcast_to(frame, (*frame.shape[:2], 3)).repeat(factor, axis=0).repeat(factor, axis=1)
+    height, width, _ = large.shape
+    return np.pad(large, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

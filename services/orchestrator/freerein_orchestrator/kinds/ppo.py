@@ -283,6 +283,9 @@ class _Training:
 
 def _card(config: PPORunConfig, state: PPOState, task: Task) -> dict[str, JSON]:
     init = cast(Mapping[str, JSON], state.inputs["init"])
+    arranged = (
+        f"; the simulator arranged episodes of training: {', '.join(config.conditions)}" if config.conditions else ""
+    )
     before = f"; the initial policy had this supervision: {init['supervision']}" if init else ""
     return {
         "task": config.task,
@@ -291,7 +294,7 @@ def _card(config: PPORunConfig, state: PPOState, task: Task) -> dict[str, JSON]:
         "max_episode_steps": task.max_episode_steps,
         **state.inputs,
         "reward": config.reward,
-        "supervision": _SUPERVISION[config.reward] + before,
+        "supervision": _SUPERVISION[config.reward] + arranged + before,
         "config": asdict(config),
         "figures": {
             "iterations": state.schedule.before + state.iteration,

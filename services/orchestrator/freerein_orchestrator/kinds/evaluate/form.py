@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.clients import SyncClient
+from freerein.clients.tasks import find_camera
 from freerein.learning.config import bounded
 from freerein.metrics import mean_interval, ratio_interval
 from freerein.types.common import Goal
@@ -16,7 +17,7 @@ from freerein_orchestrator.envs.episodes import derive_seed, run_episodes
 from freerein_orchestrator.envs.policies import PolicyHandle
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.policy_store import PolicyStore
-from freerein_orchestrator.kinds.policy_video import MAX_FRAMES, can_film
+from freerein_orchestrator.kinds.policy_video import MAX_FRAMES, can_film, max_frames
 
 Frames = npt.NDArray[np.uint8]
 
@@ -164,7 +165,8 @@ class Setup(Generic[C]):
         """
         if not can_film(self.context):
             return None
-        camera = (*policy.cameras, self.task.cameras[0].name)[0]
+        camera = find_camera(self.task, (*policy.cameras, "")[0])
+        most = max_frames(policy.height or camera.height, policy.width or camera.width) - 1
         request = self.session(1, 0, height=policy.height, width=policy.width, max_steps=episode_steps)
         (episode,) = run_episodes(
             self.sim,
@@ -173,10 +175,10 @@ class Setup(Generic[C]):
             self.interrupt,
             goals=[goal],
             recipes=recipes,
-            cameras=[camera],
-            max_steps=min(max_steps, MAX_FRAMES),
+            cameras=[camera.name],
+            max_steps=min(max_steps, max(1, most)),
         )
-        return episode.frames[camera]
+        return episode.frames[camera.name]
 
 
 class Evaluation(Protocol):
