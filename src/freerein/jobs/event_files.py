@@ -7,10 +7,11 @@ Written here because fits run where TensorBoard is not installed. The format is 
 import math
 import os
 import struct
-import time
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+
+from freerein.jobs.wall_clock import now_ns
 
 _ROLLOUT = ("episode_", "intrinsic_", "privileged")
 _TIME = {"timesteps", "steps_per_s", "recoveries", "rejected"}
@@ -31,7 +32,7 @@ class EventFile:
     def __init__(self, folder: Path, *, after: int, group: str = "train") -> None:
         self._group = group
         self._is_whole = True
-        seconds, rest = divmod(time.time_ns(), 10**9)  # files are read in order of their names
+        seconds, rest = divmod(now_ns(), 10**9)  # files are read in order of their names
         self._path = folder / f"events.out.tfevents.{seconds:010d}.{rest:09d}.{os.getpid()}"
         with suppress(OSError):  # then no event can be written either
             folder.mkdir(parents=True, exist_ok=True)
@@ -49,7 +50,7 @@ class EventFile:
 
     def _write(self, event: bytes) -> None:
         """Appends an event, unless an earlier one could not be written: nothing after a part of one can be read."""
-        event = struct.pack("<Bd", 1 << 3 | 1, time.time()) + event
+        event = struct.pack("<Bd", 1 << 3 | 1, now_ns() / 1e9) + event
         length = struct.pack("<Q", len(event))
         record = length + _checksum(length) + event + _checksum(event)
         if self._is_whole:
