@@ -122,7 +122,8 @@ def test_a_fit_warns_where_only_the_last_frame_tells_the_tags(
 def test_a_fit_is_the_same_to_the_bit_whatever_its_true_labels_say(fit: Fit, tmp_path: Path) -> None:
     root = record(tmp_path, scaled=True)
     _, without = fit(tmp_path, tmp_path / "without", steps=10)
-    assert label(root, b"trajectory,start,end,skill\n0,0,4,turn\n1,0,4,push\n2,0,8,push\n") == 3  # all wrong
+    wrong = b"trajectory,start,end,skill\n2,0,4,turn\n2,4,8,push\n3,0,4,push\n3,4,8,turn\n"
+    assert label(root, wrong) == 2
     _, labelled = fit(tmp_path, tmp_path / "labelled", steps=10)
     weights = [(tmp_path / name / "model/model.safetensors").read_bytes() for name in ("without", "labelled")]
     assert weights[0] == weights[1]
