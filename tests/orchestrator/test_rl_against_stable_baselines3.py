@@ -210,9 +210,6 @@ class _Curve:
     def append(self, step: int, metrics: Mapping[str, float]) -> None:
         self.returns.append(metrics.get("episode_return", np.nan))
 
-    def close(self) -> None:
-        """Holds nothing."""
-
 
 class _Returns(BaseCallback):
     """The mean return of the episodes that ended in each iteration."""
