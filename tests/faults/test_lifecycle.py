@@ -93,6 +93,8 @@ async def stop_under_load(faulty: Any, wait_until: Any) -> None:
         faulty.service.process.send_signal(signal.SIGTERM)
         await asyncio.to_thread(wait_until, lambda: refuses(faulty), 60)
         async with grpc.aio.insecure_channel(faulty.service.address) as late:
+            while await outcome(late.unary_unary("/any.Service/Any")(b"")) is not grpc.StatusCode.UNAVAILABLE:
+                pass  # for a moment, calls may have been sent before
             with pytest.raises(grpc.aio.AioRpcError) as refused:
                 await late.unary_unary(SEGMENT)(request, timeout=60)
         assert refused.value.code() is grpc.StatusCode.UNAVAILABLE
@@ -111,6 +113,13 @@ async def stop_under_load(faulty: Any, wait_until: Any) -> None:
 
 REST = 'freerein_calls_in_flight{protocol="rest"}'  # of which one is the reading of the metrics
 GRPC = 'freerein_calls_in_flight{protocol="grpc"}'
+
+
+async def outcome(call: Any) -> grpc.StatusCode:
+    """Returns the status of a call that fails."""
+    with pytest.raises(grpc.aio.AioRpcError) as error:
+        await call
+    return error.value.code()
 
 
 def refuses(faulty: Any) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import grpc
 from grpc_health.v1 import health_pb2
 
-from freerein.errors import DeadlineExceeded, MalformedRequest, Overloaded, ServiceError, Unavailable
+from freerein.errors import DeadlineExceeded, MalformedRequest, Overloaded, ServiceError
 from freerein.serving import auth
 from freerein.serving.grpc_calls import Context, GrpcCalls
 from freerein.serving.health import Health
@@ -29,17 +29,15 @@ class Admission(grpc.aio.ServerInterceptor):
 
     Attributes:
         admitted: Calls admitted so far, without health checks.
-        refused: Calls refused so far because of the graceful shutdown.
     """
 
     def __init__(self, health: Health, limits: Limits, memory: Memory, *, token: str, calls: GrpcCalls) -> None:
-        self.admitted = self.refused = 0
+        self.admitted = 0
         self._health = health
         self._memory = memory
         self._token = token
         self._answered = calls.answered
-        self._refuses = self._holds = False
-        self._released = asyncio.Event()
+        self._refuses = False
         self._calls = Slots(limits.concurrent_calls, "calls may be in progress")
         self._streams = Slots(limits.streams, "streams may be open")
         self._health_calls = Slots(limits.health_calls, "health checks may be in progress")
@@ -79,25 +77,13 @@ class Admission(grpc.aio.ServerInterceptor):
         """Refuses new calls from now on."""
         self._refuses = True
 
-    def hold(self) -> None:
-        """Leaves the calls that it refuses without an answer until `release`, so that their callers send no others."""
-        self._holds = True
-
-    def release(self) -> None:
-        """Answers the calls that were held, and later ones at once."""
-        self._holds = False
-        self._released.set()
-
     def _check_draining(self) -> None:
         if self._refuses:
-            self.refused += 1
             raise self._health.error()
 
     def _refusal(self, refusal: ServiceError, path: str) -> Any:
         async def refuse(_messages: Any, context: Context) -> None:
             async with self._answered(path, context):
-                if self._holds and isinstance(refusal, Unavailable):
-                    await self._released.wait()
                 raise refusal
 
         return grpc.stream_stream_rpc_method_handler(refuse)

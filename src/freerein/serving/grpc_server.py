@@ -25,9 +25,6 @@ _HEALTH_SERVICE = health_pb2.DESCRIPTOR.services_by_name["Health"].full_name
 _HEALTH_PERIOD_S = 0.2
 _SENT_BEFORE_S = 0.5  # how long calls that were sent before SIGTERM may take to arrive
 _QUIET_S = 0.1
-_QUIET_WITHIN_S = 1.0
-_TOLD_S = 0.05
-_STOP_S = 0.5
 _LOOKAHEAD_BYTES = 4 * 2**20
 
 
@@ -80,24 +77,21 @@ class GrpcServer:
         reflection.enable_server_reflection((*self._names, _HEALTH_SERVICE, reflection.SERVICE_NAME), self.server)
 
     async def drain(self) -> None:
-        """Stops the server once the calls in flight have ended, at the latest after `Limits.drain_s`.
+        """Waits until the calls in flight have ended, at the latest for `Limits.drain_s`; later calls are refused.
 
-        For a moment it still admits calls, which may have been sent before; then it refuses new ones. When it stops,
-        gRPC cancels those that it has not begun. So refusals are held back at last, until no caller sends another call,
-        and answered once callers are told that the connection ends.
+        For a moment it still admits calls, which may have been sent before. The server is not stopped, since gRPC would
+        cancel calls that it has not begun: the end of the process makes them UNAVAILABLE.
         """
         loop, admission = asyncio.get_running_loop(), self._admission
         cut_at = loop.time() + self._limits.drain_s
-        await _until_unchanged(lambda: admission.admitted, within_s=_SENT_BEFORE_S)
+        admitted, admitted_until = -1, loop.time() + _SENT_BEFORE_S
+        while admitted != admission.admitted and loop.time() < admitted_until:
+            admitted = admission.admitted
+            await asyncio.sleep(_QUIET_S)
         admission.refuse()
         while admission.in_progress and loop.time() < cut_at:  # noqa: ASYNC110  # calls end in many ways
             await asyncio.sleep(_QUIET_S)
-        admission.hold()
-        await _until_unchanged(lambda: admission.refused, within_s=_QUIET_WITHIN_S)
-        stopping = asyncio.ensure_future(self.server.stop(_STOP_S))  # held calls and health watches, or what is cut
-        await asyncio.sleep(_TOLD_S)
-        admission.release()
-        await stopping
+        await asyncio.sleep(_QUIET_S)  # for the last replies to be sent
 
     async def report_health(self) -> None:
         """Copies readiness to the standard health service until the graceful shutdown begins."""
@@ -182,15 +176,6 @@ class _HealthServicer(health_aio.HealthServicer):
         replies = [await self.Check(request, context) for request in asked]
         response: Any = vars(health_pb2)["HealthListResponse"]  # its stubs leave it out
         return response(statuses=dict(zip(self._names, replies, strict=True)))
-
-
-async def _until_unchanged(count: Callable[[], int], *, within_s: float) -> None:
-    """Waits until a count has not changed for a moment."""
-    loop, before = asyncio.get_running_loop(), -1
-    give_up_at = loop.time() + within_s
-    while before != count() and loop.time() < give_up_at:
-        before = count()
-        await asyncio.sleep(_QUIET_S)
 
 
 def _serialised(response: object) -> bytes:

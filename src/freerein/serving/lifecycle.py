@@ -87,8 +87,13 @@ def run(name: str, settings_class: type[S], build: Build[S]) -> NoReturn:
     except ValidationError as error:
         program.end(_cannot_start(_reason(error), CONFIGURATION_ERROR))
     logs.set_level(settings.log_level)
+    uvloop.run(_serve_and_end(settings, build))
+
+
+async def _serve_and_end(settings: S, build: Build[S]) -> NoReturn:
+    """Runs a service, and ends the process while the loop runs: calls that gRPC has not begun are UNAVAILABLE so."""
     try:
-        code = uvloop.run(_serve(settings, build))
+        code = await _serve(settings, build)
     except ServiceError as error:
         code = CONFIGURATION_ERROR if isinstance(error, _CONFIGURATION_ERRORS) else FAILURE
         code = _cannot_start(f"{error.detail} {error.hint}", code)
