@@ -225,7 +225,6 @@ def test_statistics_of_other_features_may_be_infinite(root: Path) -> None:
         {"tasks": [1, 2, 3]},
         {"skills": [[""], ["a"], ["b"]]},
     ],
-    ids=str,
 )
 def test_a_table_of_episodes_is_parsed_like_a_request(root: Path, changes: dict[str, Any]) -> None:
     write_episodes(root, **changes)
