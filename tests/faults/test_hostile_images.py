@@ -181,7 +181,7 @@ def test_a_file_that_is_costly_to_decode_is_refused_by_its_structure(
 
     with Growth(faulty.process) as growth:
         assert least_of_many(seconds, below=0.5) < 0.5
-    assert growth.most < 64 * MiB + 2 * len(data)
+    assert growth.most < 64 * MiB + 4 * len(data)  # two copies, and two of the file before, if not yet freed
 
 
 @pytest.mark.fault("F6")
