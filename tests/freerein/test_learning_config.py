@@ -72,7 +72,8 @@ def test_an_unknown_key_is_refused_and_the_nearest_known_one_named() -> None:
     ("values", "message"),
     [
         ({}, "must hold names"),
-        ({"names": "x"}, "`names` must be a list of strings"),
+        ({"names": 1}, "`names` must be a list of strings"),
+        ({"names": {"x": "y"}}, "`names` must be a list of strings"),
         ({"names": [1]}, "`names` must be a list of strings"),
         ({"names": [], "kind": "c"}, "`kind` must be one of a, b"),
         ({"names": [], "camera": 1}, "`camera` must be a string"),
@@ -144,6 +145,12 @@ def test_dataclasses_may_hold_others() -> None:
     values = {"places": [{"name": "a", "height": 2}], "best": {"name": "b"}, "scale": [1, 0.5], "colour": "blue"}
     assert parse(Chosen, values) == Chosen((Place("a", 2),), Place("b"), (1.0, 0.5), "blue")
     assert parse(Chosen, asdict(parse(Chosen, values))) == parse(Chosen, values)
+
+
+def test_a_single_value_stands_for_a_list_of_one() -> None:
+    assert parse(Config, {"names": "x"}).names == ("x",)
+    assert parse(Chosen, {"places": {"name": "a"}, "scale": 2}) == Chosen((Place("a"),), scale=(2.0,))
+    assert parse(Nested, {"config": {}, "steps": {"b": [2]}}).steps == ({"b": [2]},)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import Task
-from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_task
+from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_task, check_teachers
 
 FRONT, WRIST = Camera("front", 64, 64, 3), Camera("wrist", 32, 48, 3)
 TASK = Task("reach", "arm", "", (FRONT, WRIST), ActionSpec(2, 0, ("x", "y")), 0.1, (), 50)
@@ -45,3 +45,10 @@ def test_sizes_that_no_session_renders_are_refused() -> None:
 def test_other_cameras_or_actions_are_refused(spec: PolicyInterface) -> None:
     with pytest.raises(InvalidInput, match="this task has camera front with 3 channels, camera wrist with 3 channels"):
         check_task(spec, TASK)
+
+
+@pytest.mark.parametrize("cameras", [[], ["front"], "front"])
+def test_a_student_has_its_teachers_camera(cameras: object) -> None:
+    check_teachers([PolicyInterface((FRONT,), 2, 0)], student_cameras=cameras)
+    with pytest.raises(InvalidInput, match="its teachers' camera, wrist; got another"):
+        check_teachers([PolicyInterface((WRIST,), 2, 0)], student_cameras=cameras or "front")

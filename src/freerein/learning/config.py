@@ -100,7 +100,8 @@ class _BoundedOr(_Bounded):
 def parse(kind: type[C], values: Mapping[str, object]) -> C:
     """Returns the configuration of the given values; other fields take their defaults.
 
-    JSON and protobuf's Struct have one number type: for an int, 3.0 is accepted and 3.5 is not.
+    JSON and protobuf's Struct have one number type: for an int, 3.0 is accepted and 3.5 is not. A single value stands
+    for a list of one.
 
     Args:
         kind: A frozen dataclass whose fields are bool, int, float, str, Literal of strings, dict[str, Any], frozen
@@ -151,8 +152,9 @@ def _convert(key: str, kind: object, value: object) -> Any:
 
 def _converted(kind: object, value: object) -> Any:
     """Returns the value converted to a type, MISSING when it has another."""
-    if get_origin(kind) is tuple and isinstance(value, list | tuple):
-        items = tuple(_converted(get_args(kind)[0], each) for each in value)
+    if get_origin(kind) is tuple:
+        listed = value if isinstance(value, list | tuple) else [value]
+        items = tuple(_converted(get_args(kind)[0], each) for each in listed)
         return MISSING if MISSING in items else items
     if kind in (int, float):
         return _number(kind, value)

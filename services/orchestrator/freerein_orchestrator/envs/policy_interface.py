@@ -67,7 +67,7 @@ def check_teachers(specs: Sequence[PolicyInterface], *, student_cameras: object)
 
     Args:
         specs: Of each teacher, at least one.
-        student_cameras: `cameras` of the student's configuration; an empty list for the teachers'.
+        student_cameras: `cameras` of the student's configuration, a list or one name; an empty list for the teachers'.
 
     Raises:
         InvalidInput: They differ.
@@ -80,7 +80,7 @@ def check_teachers(specs: Sequence[PolicyInterface], *, student_cameras: object)
             hint="Distill those that differ separately, or train them on frames of one size.",
         )
     (camera,) = specs[0].cameras
-    if student_cameras not in ([], [camera.name]):
+    if student_cameras not in ([], camera.name, [camera.name]):
         raise InvalidInput(
             f"A student must have its teachers' camera, {camera.name}; got another.",
             field="config.config.cameras",
