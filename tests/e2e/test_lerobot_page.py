@@ -64,7 +64,7 @@ class Arm:
 
 
 def record(root: Path) -> list[tuple[int, ...]]:
-    """Writes a LeRobotDataset v3, an episode after the other in one file; returns the skills in each."""
+    """Writes a LeRobotDataset v3 of two cameras, an episode after the other in one file; returns the skills in each."""
     rng, rows, orders = np.random.default_rng(0), list[dict[str, Any]](), list[tuple[int, ...]]()
     for episode in range(EPISODES):
         orders.append(((0,), (1,), (0, 1), (1, 0))[episode % 4])
@@ -76,14 +76,15 @@ def record(root: Path) -> list[tuple[int, ...]]:
                 frame = io.BytesIO()
                 PIL.Image.fromarray(drawn(middle, skill)).save(frame, "PNG")
                 image, vector = {"bytes": frame.getvalue(), "path": None}, degrees.tolist()
-                rows.append({"observation.images.front": image, "observation.state": vector, "action": vector})
-                rows[-1] |= {"episode_index": episode}
+                rows.append({"observation.images.front": image, "observation.images.wrist": image})
+                rows[-1] |= {"observation.state": vector, "action": vector, "episode_index": episode}
                 middle = moved(middle, degrees)
     lengths = [STEPS * len(order) for order in orders]
     episodes = {"episode_index": range(EPISODES), "length": lengths, "tasks": [["tidy"]] * EPISODES}
     episodes |= {f"data/{name}_index": [0] * EPISODES for name in ("chunk", "file")}
     counter = {"dtype": "int64", "shape": [1], "names": None}
-    features = {"observation.images.front": IMAGE, "observation.state": VECTOR, "action": VECTOR}
+    features = {"observation.images.front": IMAGE, "observation.images.wrist": IMAGE}
+    features |= {"observation.state": VECTOR, "action": VECTOR}
     info = {"codebase_version": "v3.0", "fps": 10, "features": {**features, "episode_index": counter}}
     info["data_path"] = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
     for folder in ("data/chunk-000", "meta/episodes/chunk-000"):
@@ -106,7 +107,8 @@ def test_a_lerobot_dataset_becomes_endpoints_and_its_robot_follows(
     scale, loop, _ = read_blocks("lerobot", "python")
     monkeypatch.chdir(tmp_path)
 
-    shell(segmentation)
+    said = shell(segmentation)
+    assert "Of the cameras front, wrist, the model sees front; another is chosen by --set cameras=wrist." in said
     exec(scale, {})
     printed = shell(policy)
 

@@ -31,7 +31,10 @@ def data_dir(tmp_path: Path) -> Path:
 
 
 def test_a_fit_leaves_a_policy_that_knows_what_its_actions_mean(data_dir: Path, run_fit: Any) -> None:
-    policy = METHODS.load(run_fit(data_dir, "play", {"cameras": ["front"], **TINY}), "cpu")
+    folder = run_fit(data_dir, "play", TINY)
+    policy = METHODS.load(folder, "cpu")
+    note = "Of the cameras front, left, the model sees front; another is chosen by --set cameras=left."
+    assert json.loads((folder / "card.json").read_text())["notes"] == [note]
     assert (policy.spec.goal_form, policy.spec.action) == ("images", ACTION)
     assert policy.spec.cameras == (Camera("front", 12, 12, 3),)
     assert (policy.spec.control_dt_s, policy.spec.max_steps_per_goal) == (0.04, 30)
@@ -52,7 +55,7 @@ def test_a_policy_learns_from_all_cameras_that_are_asked_for(data_dir: Path, run
     assert not np.allclose(before.actions, after.actions)
     assert not np.allclose(before.reached, after.reached)
     card = json.loads((folder / "card.json").read_text())
-    assert (card["method"], card["config"]["cameras"]) == ("goal_conditioned", ["left", "front"])
+    assert (card["method"], card["config"]["cameras"], card["notes"]) == ("goal_conditioned", ["left", "front"], [])
 
 
 def test_frames_that_no_policy_is_made_for_are_refused_before_a_fit_begins(data_dir: Path) -> None:
@@ -80,7 +83,7 @@ def test_an_embedding_too_small_for_one_heat_map_is_refused_before_a_fit_begins(
 
 def test_a_fit_is_asked_for_precisely(data_dir: Path) -> None:
     assert METHODS.resolve(data_dir, "play", LEFT, threads=3)["threads"] == 3
-    for wrong in ({}, {"cameras": ["right"]}, LEFT | {"method": "pilot"}, LEFT | {"tags": True}):
+    for wrong in ({"cameras": "right"}, LEFT | {"method": "pilot"}, LEFT | {"tags": True}):
         with pytest.raises(InvalidInput):
             METHODS.resolve(data_dir, "play", wrong, threads=1)
 

@@ -3,6 +3,7 @@ import os
 import re
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,15 +20,21 @@ ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))
 
 
 def record(
-    data_dir: Path, name: str, *, length: int = 3, size: tuple[int, int] = (8, 12), action: ActionSpec = ACTION
+    data_dir: Path,
+    name: str,
+    *,
+    length: int = 3,
+    size: tuple[int, int] = (8, 12),
+    action: ActionSpec = ACTION,
+    cameras: tuple[str, ...] = ("front",),
 ) -> Path:
     """Records two demonstrations of two skills; returns the dataset's folder."""
     root = dataset_path(data_dir, name)
-    cameras = {"front": (*size, 3)}
-    spec = DatasetSpec(fps=25, cameras=cameras, action=action, robot_type="test", skills=("pick", "push"))
+    sizes = dict.fromkeys(cameras, (*size, 3))
+    spec = DatasetSpec(fps=25, cameras=sizes, action=action, robot_type="test", skills=("pick", "push"))
     with create(root, spec) as writer:
         for _ in range(2):
-            frames = {"front": np.zeros((length, *size, 3), np.uint8)}
+            frames = {camera: np.zeros((length, *size, 3), np.uint8) for camera in cameras}
             writer.append(Trajectory(frames, np.zeros((length, action.size), np.float32), ("pick", "push")))
     return root
 
@@ -36,6 +43,19 @@ def test_a_configuration_names_the_only_camera_and_every_default(tmp_path: Path)
     record(tmp_path, "demos")
     config = METHODS.resolve(tmp_path, "demos", {"steps": 3}, threads=2)
     assert [config[key] for key in ("method", "cameras", "steps", "threads")] == ["set_supervised", ("front",), 3, 2]
+
+
+@pytest.mark.parametrize(
+    ("asked", "seen"), [({}, "front"), ({"cameras": "wrist"}, "wrist"), ({"cameras": []}, "front")]
+)
+def test_of_several_cameras_the_first_is_seen_or_the_one_that_is_named(
+    tmp_path: Path, asked: dict[str, Any], seen: str
+) -> None:
+    record(tmp_path, "demos", cameras=("front", "wrist"))
+    assert METHODS.resolve(tmp_path, "demos", asked, threads=1)["cameras"] == (seen,)
+    with pytest.raises(InvalidInput, match=r"among the dataset's, front, wrist, each once") as refused:
+        METHODS.resolve(tmp_path, "demos", {"cameras": "top"}, threads=1)
+    assert refused.value.hint == "For example: --set cameras=front."
 
 
 @pytest.mark.fault("F16")

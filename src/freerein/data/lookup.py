@@ -21,22 +21,31 @@ def open_dataset(data_dir: Path, name: str) -> Dataset:
 
 
 def choose_cameras(dataset: Dataset, asked: Sequence[str]) -> tuple[str, ...]:
-    """Returns the cameras to learn from: those asked for, or the only one.
+    """Returns the cameras to learn from: those asked for, else the dataset's first.
 
     Raises:
-        InvalidInput: The dataset has no camera of one of the names, one is named twice, or it has several cameras and
-            none was asked for.
+        InvalidInput: The dataset has no camera of one of the names, or one is named twice.
     """
     cameras = tuple(dataset.spec.cameras)
     chosen = tuple(asked) or cameras[:1]
-    if len(set(chosen)) != len(chosen) or not set(chosen) <= set(cameras) or (not asked and len(cameras) > 1):
+    if len(set(chosen)) != len(chosen) or not set(chosen) <= set(cameras):
         raise InvalidInput(
-            f"`cameras` must be among the dataset's, {', '.join(cameras)}, each once; "
-            f"got {'others, or one twice' if asked else 'none'}.",
+            f"`cameras` must be among the dataset's, {', '.join(cameras)}, each once; got others, or one twice.",
             field="config.cameras",
-            hint=f"For example: --set 'cameras=[\"{cameras[0]}\"]'.",
+            hint=f"For example: --set cameras={cameras[0]}.",
         )
     return chosen
+
+
+def unseen_cameras(cameras: Sequence[str], chosen: Sequence[str]) -> str:
+    """Returns a sentence about a dataset's cameras that are not among those to learn from; empty where all are."""
+    unseen = [each for each in cameras if each not in chosen]
+    if not unseen:
+        return ""
+    return (
+        f"Of the cameras {', '.join(cameras)}, the model sees {' and '.join(chosen)}; another is chosen by "
+        f"--set cameras={unseen[0]}."
+    )
 
 
 def choose_camera(dataset: Dataset, asked: str, *, of_model: str, field: str = "camera") -> str:

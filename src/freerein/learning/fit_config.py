@@ -49,7 +49,7 @@ class DatasetFitConfig(FitConfig):
     """Base configuration of a fit to a dataset.
 
     Attributes:
-        cameras: Cameras to learn from; may be empty where the dataset has one.
+        cameras: Cameras to learn from; the dataset's first when empty.
         validation_fraction: Fraction of trajectories held out, whose training signal chooses the best weights.
     """
 

@@ -6,6 +6,7 @@ A method is one `Method`, registered by its name in the service's `Methods`. A f
 
 import json
 import shlex
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ import torch
 from torch import nn
 
 from freerein.atomic_files import write_atomic
-from freerein.data.lookup import choose_cameras
+from freerein.data.lookup import choose_cameras, unseen_cameras
 from freerein.errors import InvalidInput
 from freerein.jobs.child import run_child
 from freerein.learning.config import parse
@@ -105,6 +106,8 @@ class Methods(Generic[M_co]):
             name, method, given = self._choose(job["config"])
             source, config = FitDataset.open(data_dir, job["dataset"]), parse(method.config, given)
             torch.set_num_threads(config.threads)
+            notes = [each for each in (unseen_cameras(tuple(source.dataset.spec.cameras), config.cameras),) if each]
+            sys.stderr.write("".join(f"{each}\n" for each in notes))
             learner = method.prepare(source, config, choose_device(device), **resources)
 
             def save(fitted: FitResult[Any], model: Path) -> None:
@@ -113,7 +116,7 @@ class Methods(Generic[M_co]):
                     write_atomic(model / file, data)
                 own = method.card(source, learner, fitted)
                 warnings = {"warnings": [*own.get("warnings", []), *_uncalibrated(fitted.network)]}
-                card = self._common_card(name, source, learner, fitted) | own | warnings
+                card = self._common_card(name, source, learner, fitted) | {"notes": notes} | own | warnings
                 save_model(fitted.network, model, card=card)
 
             return fit_and_save(learner, folder, save)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,7 +22,9 @@ from freerein.cli.jobs.streams import follow_fit
 from freerein.cli.output import AsJson, ago, command, print_json, show_all, show_table
 from freerein.clients import FitClient, ModelClient, SegmentationClient
 from freerein.data import ImageSource
-from freerein.errors import InvalidInput
+from freerein.data.lookup import unseen_cameras
+from freerein.data.meta import read_spec
+from freerein.errors import InvalidInput, ServiceError
 from freerein.jobs import wall_clock
 from freerein.types.jobs import MetricRow
 from freerein.types.learning import (
@@ -71,6 +74,7 @@ def _add_start(service: str, explanation: str) -> None:
     ) -> None:
         request = StartFitRequest(check_no_path(dataset), model_name, configuration(settings))
         fit = call(FitClient, service, lambda client: client.start_fit(request)).fit
+        _say_cameras(fit, as_json=as_json)
         _show_or_watch(service, fit, watch=watch, as_json=as_json)
 
 
@@ -111,7 +115,16 @@ def reward(
     config = configuration(settings) | ({"phrases": named} if named else {})
     request = StartFitRequest(check_no_path(name), model_name, config)
     fit = call(FitClient, "reward", lambda client: client.start_fit(request)).fit
+    _say_cameras(fit, as_json=as_json)
     _show_or_watch("reward", fit, watch=watch, as_json=as_json)
+
+
+def _say_cameras(fit: Fit, *, as_json: bool) -> None:
+    """Says which cameras of the dataset a fit does not see, where the dataset is in this data directory."""
+    with suppress(ServiceError):
+        spec = read_spec(dataset_root(fit.dataset))
+        note = unseen_cameras(tuple(spec.cameras), fit.config["cameras"]) if spec else ""
+        typer.echo(f"{note}\n" if note and not as_json else "", nl=False)
 
 
 def _dataset_name(folder: Path) -> str:
@@ -201,6 +214,8 @@ def _card(service: str, fit: Fit) -> dict[str, Any]:
 def _show_warnings(card: Mapping[str, Any]) -> None:
     for warning in card.get("warnings", ()):
         typer.echo(f"warning: {warning}")
+    for note in card.get("notes", ()):
+        typer.echo(note)
 
 
 @app.command()
