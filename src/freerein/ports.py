@@ -1,4 +1,4 @@
-"""Default ports of the services, and the environment variables that override their addresses."""
+"""Default ports of the services, and the environment variables that move them or override their addresses."""
 
 import re
 from collections.abc import Mapping
@@ -27,6 +27,30 @@ PORTS = {
 }
 
 
+PORT_BASE = "FREEREIN_PORT_BASE"
+"""Variable of the port that the others follow: REST from it on, gRPC from 1000 above it on, in the order of `PORTS`."""
+
+_FIRST = PORTS["orchestrator"].rest
+MAX_PORT_BASE = _MAX_PORT - (PORTS["sim"].grpc - _FIRST)
+
+
+def moved(service: str, base: int) -> Ports:
+    """Returns the default ports of a service where those of all begin at `base`."""
+    return Ports(PORTS[service].rest + base - _FIRST, PORTS[service].grpc + base - _FIRST)
+
+
+def default_ports(service: str, environ: Mapping[str, str]) -> Ports:
+    """Returns the default ports of a service, moved by `FREEREIN_PORT_BASE`; InvalidInput where that is no port."""
+    base = environ.get(PORT_BASE, "").strip() or str(_FIRST)
+    if not (base.isascii() and base.isdecimal() and 0 < int(base[:6]) <= MAX_PORT_BASE):
+        raise InvalidInput(
+            f"{PORT_BASE} must be a port from 1 to {MAX_PORT_BASE}, since others follow it; got something else.",
+            field=PORT_BASE,
+            hint=f"Set it to a number such as 18100, or leave it out for {_FIRST}.",
+        )
+    return moved(service, int(base))
+
+
 def address(service: str, environ: Mapping[str, str]) -> str:
     """Returns the first of a service's gRPC addresses; see `addresses`."""
     return addresses(service, environ)[0]
@@ -35,7 +59,7 @@ def address(service: str, environ: Mapping[str, str]) -> str:
 def addresses(service: str, environ: Mapping[str, str]) -> tuple[str, ...]:
     """Returns the gRPC addresses, `host:port`, of all replicas of a service.
 
-    They are the comma-separated value of `FREEREIN_<SERVICE>_ADDRESS`, by default loopback and the port table. Raises
+    They are the comma-separated value of `FREEREIN_<SERVICE>_ADDRESS`, by default loopback and the default port. Raises
     InvalidInput when the service does not exist, or the variable does not hold `host:port`. An IPv6 address is in
     brackets.
     """
@@ -57,4 +81,4 @@ def addresses(service: str, environ: Mapping[str, str]) -> tuple[str, ...]:
                 hint=f"Set it to something like 127.0.0.1:{PORTS[service].grpc} or [::1]:{PORTS[service].grpc}, "
                 "without http://, or unset it.",
             )
-    return tuple(found) or (f"127.0.0.1:{PORTS[service].grpc}",)
+    return tuple(found) or (f"127.0.0.1:{default_ports(service, environ).grpc}",)

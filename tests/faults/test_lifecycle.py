@@ -203,6 +203,7 @@ def reason(stderr: str) -> str:
         ("FREEREIN_HOST", "no-such-host.invalid", "Set FREEREIN_HOST"),
         ("FREEREIN_TLS_CERT", "/none", "must be set together"),
         ("FREEREIN_DATA_DIR", "/dev/null", "must be a folder"),
+        ("FREEREIN_TOKN", "abc", "did you mean `FREEREIN_TOKEN`?"),
     ],
 )
 def test_a_wrong_setting_ends_the_start_with_its_name(
@@ -210,6 +211,27 @@ def test_a_wrong_setting_ends_the_start_with_its_name(
 ) -> None:
     token = "x" if "no-such" in value else ""
     code, stderr = run_badly("freerein_sim", tmp_path, **{"FREEREIN_TOKEN": token, variable: value})
+    assert code == 3
+    assert fix in reason(stderr)
+
+
+@pytest.mark.fault("C20")
+@pytest.mark.parametrize(
+    ("module", "variable", "value", "fix"),
+    [
+        *(
+            (f"freerein_{name}", "FREEREIN_DEVICE", "cuda:99", "must be a device of this machine")
+            for name in ("imitation", "orchestrator", "reward", "segmentation")
+        ),
+        ("freerein_imitation", "FREEREIN_DATA_DIR", "/proc/none/data", "one that can be made"),
+        ("freerein_orchestrator", "FREEREIN_DATA_DIR", "/proc/none/data", "one that can be made"),
+        ("freerein_orchestrator", "FREEREIN_SIM_ADDRESS", "sim", "FREEREIN_SIM_ADDRESS must hold host:port"),
+    ],
+)
+def test_a_setting_that_this_machine_cannot_meet_ends_the_start_with_its_name(
+    run_badly: RunBadly, tmp_path: Path, module: str, variable: str, value: str, fix: str
+) -> None:
+    code, stderr = run_badly(module, tmp_path, **{variable: value})
     assert code == 3
     assert fix in reason(stderr)
 

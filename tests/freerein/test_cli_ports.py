@@ -12,8 +12,10 @@ from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
 from freerein.cli.services import configured_ports
+from freerein.cli.services.endpoints import running_endpoints
 from freerein.errors import InvalidInput
-from freerein.ports import PORTS, Ports
+from freerein.ports import PORTS, Ports, address, moved
+from freerein.serving.settings import ServiceSettings
 
 
 def test_without_port_variables_services_listen_on_the_port_table() -> None:
@@ -33,6 +35,36 @@ def test_without_port_variables_services_listen_on_the_port_table() -> None:
 )
 def test_one_service_obeys_the_port_variables(environ: dict[str, str], expected: Ports) -> None:
     assert configured_ports(["sim"], environ) == {"sim": expected}
+
+
+def test_a_port_base_moves_all_ports_and_addresses_together() -> None:
+    environ = {"FREEREIN_PORT_BASE": " 18100 "}
+    assert configured_ports(["orchestrator", "sim"], environ) == {
+        "orchestrator": Ports(18100, 19100),
+        "sim": Ports(18104, 19104),
+    }
+    assert (address("sim", environ), running_endpoints(["sim"], environ).urls["sim"]) == (
+        "127.0.0.1:19104",
+        "http://127.0.0.1:18104",
+    )
+    settings = ServiceSettings(port_base=18100, grpc_port=9)
+    assert moved("sim", settings.port_base) == Ports(18104, 19104)
+    assert configured_ports(["sim"], {**environ, "FREEREIN_GRPC_PORT": "9"}) == {"sim": Ports(18104, 9)}
+
+
+@pytest.mark.parametrize(
+    ("words", "detail"),
+    [
+        (["--port-base", "64532"], "1 to 64531"),
+        (["--port-base", "0"], "1 to 64531"),
+        (["--port-base", "-1"], "1 to 64531"),
+        (["--port-base", "18100", "--free-ports"], "--free-ports and --port-base"),
+    ],
+)
+def test_up_refuses_a_port_base_that_cannot_be(words: list[str], detail: str) -> None:
+    result = CliRunner().invoke(app, ["up", "sim", "--json", *words])
+    assert (result.exit_code, json.loads(result.stderr)["error"]["code"]) == (1, "invalid_input")
+    assert detail in result.stderr
 
 
 def test_port_0_is_a_free_port() -> None:

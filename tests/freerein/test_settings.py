@@ -1,5 +1,6 @@
 """What an operator may set, and what is refused before a service listens."""
 
+import re
 import subprocess
 from pathlib import Path
 
@@ -8,9 +9,15 @@ from pydantic import ValidationError
 
 from freerein.cli.settings import CliSettings
 from freerein.clients import Channel
-from freerein.errors import InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.serving.environment import KNOWN, reasons
 from freerein.serving.learned import LearnedSettings
 from freerein.serving.settings import ServiceSettings
+from freerein_orchestrator.settings import OrchestratorSettings
+from freerein_reward.settings import RewardSettings
+from freerein_sim.settings import SimSettings
+
+ROOT = Path(__file__).parents[2]
 
 SELF_SIGNED = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 1 -subj /CN=localhost"
 
@@ -31,7 +38,7 @@ def test_the_defaults_are_loopback_without_a_token() -> None:
 def test_the_environment_overrides_and_an_empty_variable_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FREEREIN_QUEUE", "4")
     monkeypatch.setenv("FREEREIN_TOKEN", "")
-    monkeypatch.setenv("FREEREIN_UNKNOWN", "1")
+    monkeypatch.setenv("FREEREIN_UNKNOWN", "")
     settings = ServiceSettings()
     assert (settings.queue, settings.token) == (4, None)
 
@@ -165,3 +172,73 @@ def test_a_data_directory_that_is_a_file_is_refused(monkeypatch: pytest.MonkeyPa
         ServiceSettings()
     monkeypatch.setenv("FREEREIN_DATA_DIR", "new")
     assert ServiceSettings().data_dir == Path("new")
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("FREEREIN_TOKN", "FREEREIN_TOKEN"),
+        ("FREEREIN__TOKEN", "FREEREIN_TOKEN"),
+        ("FREEREINTOKEN", "FREEREIN_TOKEN"),
+        ("freerein_tokken", "FREEREIN_TOKEN"),
+        ("FREEREN_TOKEN", "FREEREIN_TOKEN"),
+        ("FREEREIN_CERT", "FREEREIN_TLS_CERT"),
+        ("FREEREIN_PORT", "FREEREIN_HTTP_PORT"),
+        ("FREEREIN_SIM_ADRESS", "FREEREIN_SIM_ADDRESS"),
+        ("FREEREIN_SIM_WORKER", "FREEREIN_SIM_WORKERS"),
+    ],
+)
+def test_a_variable_that_there_is_not_is_refused_beside_the_one_that_was_meant(
+    monkeypatch: pytest.MonkeyPatch, written: str, meant: str
+) -> None:
+    monkeypatch.setenv(written, "a secret")
+    with pytest.raises(ValidationError, match=f"got `{written}`, did you mean `{meant}`") as error:
+        ServiceSettings()
+    assert "secret" not in reasons(error.value)
+    with pytest.raises(InvalidInput, match=f"got `{written}`, did you mean `{meant}`"):
+        CliSettings()
+
+
+def test_an_unlike_variable_is_refused_and_a_long_one_is_not_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREEREIN_XYZ", "1")
+    monkeypatch.setenv("FREEREIN_" + "Q" * 100, "1")
+    with pytest.raises(ValidationError, match="`FREEREIN_XYZ`, which is unknown and a name of 109 characters"):
+        LearnedSettings()
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"),
+    [
+        ("FREEREIN_SIM_WORKERS", "2"),  # of another service
+        ("FREEREIN_ROBOTS", "1"),  # of compose
+        ("FREEREIN_FUZZ", "1"),  # of tests
+        ("FREEREIN_SIM_SERVICE_HOST", "10.0.0.11"),  # the rest are of Kubernetes
+        ("FREEREIN_SIM_PORT", "tcp://10.0.0.11:9104"),
+        ("FREEREIN_SIM_PORT_9104_TCP_ADDR", "10.0.0.11"),
+        ("FREEREIN_SERVICE_PORT_GRPC", "9104"),
+    ],
+)
+def test_a_variable_of_somebody_else_is_left_alone(monkeypatch: pytest.MonkeyPatch, variable: str, value: str) -> None:
+    monkeypatch.setenv(variable, value)
+    assert (ServiceSettings().queue, CliSettings().token) == (256, None)
+
+
+def test_the_known_variables_are_those_that_settings_compose_and_tests_have() -> None:
+    services = (LearnedSettings, CliSettings, OrchestratorSettings, RewardSettings, SimSettings)
+    settings = {name.upper() for each in services for name in each.model_fields}
+    compose = re.findall(r"FREEREIN_(\w+)", (ROOT / "docker-compose.yml").read_text())
+    tests = {"FUZZ", "SOAK_MINUTES", "TESTS_FORK_SERVER"}
+    assert set(KNOWN) == settings | {*compose} | tests
+    assert len(set(KNOWN)) == len(KNOWN)
+
+
+def test_a_data_directory_that_cannot_be_made_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREEREIN_DATA_DIR", "/proc/none/data")
+    with pytest.raises(FailedPrecondition, match="one that can be made"):
+        ServiceSettings().make_data_dir()
+
+
+def test_a_wrong_setting_of_the_command_line_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREEREIN_DATA_DIR", "~nobody-has-this-name/x")
+    with pytest.raises(InvalidInput, match=r"FREEREIN_DATA_DIR: .*the name of no user"):
+        CliSettings()

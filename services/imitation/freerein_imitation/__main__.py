@@ -10,6 +10,7 @@ import torch
 
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.fork_server import ForkServer, StartChild, spawn
+from freerein.learning.model_files import choose_device
 from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
@@ -35,6 +36,7 @@ def build(
     start_child: StartChild = spawn,
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
+    choose_device(settings.device)  # a missing one ends the start, also where there is no model yet
     torch.set_num_threads(1)  # one model thread: more would compete with each other and with a fit
     batcher = Batcher(
         PolicyRunner().run_batch, queue=settings.queue, batch=limits.batch, metrics=metrics, call_s=limits.unary_s

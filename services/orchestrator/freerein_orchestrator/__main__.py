@@ -12,7 +12,9 @@ from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.names import LINKS
 from freerein.jobs.store import JobStore
 from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
+from freerein.learning.model_files import choose_device
 from freerein.serving.health import Health
+from freerein.ports import PORTS, addresses
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
@@ -35,7 +37,16 @@ def build(
     *,
     start_child: StartChild = spawn,
 ) -> Service:
-    """Returns the service."""
+    """Returns the service.
+
+    Raises:
+        FailedPrecondition: This machine lacks the device of the settings, or the data directory cannot be made.
+        InvalidInput: An address of a service is malformed.
+    """
+    choose_device(settings.device)
+    settings.make_data_dir()
+    for service in PORTS:
+        addresses(service, os.environ)
     folder = settings.data_dir / "runs"
     store = JobStore(folder, noun="run", links=settings.data_dir / LINKS)
     runner = AttemptRunner(

@@ -11,6 +11,7 @@ import torch
 from freerein.api.reward.v1 import reward_pb2
 from freerein.errors import FailedPrecondition
 from freerein.fork_server import ForkServer, StartChild, spawn
+from freerein.learning.model_files import choose_device
 from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
@@ -48,6 +49,7 @@ def build(
     start_child: StartChild = spawn,
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
+    choose_device(settings.device)  # a missing one ends the start, also where there is no model yet
     torch.set_num_threads(1)  # more would compete with the fit
     grounding = _grounding_folder(open_store(NAME, settings))
     goals = GoalCache(settings.goal_cache_bytes)

@@ -9,6 +9,7 @@ import torch
 
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.fork_server import ForkServer, StartChild, spawn
+from freerein.learning.model_files import choose_device
 from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
@@ -32,6 +33,7 @@ def build(
     start_child: StartChild = spawn,
 ) -> Service:
     """Returns the service; `load` loads the model of a folder onto a device."""
+    choose_device(settings.device)  # a missing one ends the start, also where there is no model yet
     torch.set_num_threads(1)  # more would compete with the fit
     batcher = Batcher(run_batch, queue=settings.queue, batch=limits.batch, metrics=metrics, call_s=limits.unary_s)
     return learned_service(

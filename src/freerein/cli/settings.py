@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-from pydantic import SecretStr
+from pydantic import SecretStr, ValidationError
 
-from freerein.serving.environment import EnvironmentVariables
+from freerein.errors import InvalidInput
+from freerein.serving.environment import EnvironmentVariables, reasons
 
 
 class CliSettings(EnvironmentVariables):
@@ -19,6 +20,15 @@ class CliSettings(EnvironmentVariables):
     data_dir: Path = Path("var")
     token: SecretStr | None = None
     tls_cert: Path | None = None
+
+    def __init__(self) -> None:
+        """Reads the environment. Raises InvalidInput where a variable is wrong, or has the name of no setting."""
+        try:
+            super().__init__()
+        except ValidationError as error:
+            raise InvalidInput(
+                f"The environment must hold settings: {reasons(error)}", hint="docs/configuration.md lists them all."
+            ) from None
 
     @property
     def token_text(self) -> str:

@@ -85,7 +85,7 @@ class Channel:
     @property
     def proxy(self) -> str:
         """Name of the environment variable whose proxy calls take; empty for none."""
-        if _is_loopback(self.address):
+        if is_loopback(self.address):
             return ""
         host = self.address.rpartition(":")[0]
         unproxied = next(filter(None, map(os.environ.get, _NO_PROXIES)), "")
@@ -116,7 +116,7 @@ class Channel:
             options = (
                 *_OPTIONS,
                 ("grpc.keepalive_time_ms", self._keepalive_ms),
-                ("grpc.enable_http_proxy", int(not _is_loopback(self.address))),
+                ("grpc.enable_http_proxy", int(not is_loopback(self.address))),
                 ("grpc.service_config", retry_policy.service_config()),
             )
             if self._root_certificates is None:
@@ -140,7 +140,8 @@ class Channel:
         return (("x-request-id", request_id), *self._authorization)
 
 
-def _is_loopback(address: str) -> bool:
+def is_loopback(address: str) -> bool:
+    """Returns whether the host of an address, `host:port`, is this machine."""
     host = address.rpartition(":")[0].strip("[]")
     try:
         return ip_address(host).is_loopback

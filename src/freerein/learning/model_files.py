@@ -15,7 +15,7 @@ from torch import nn
 from torch.overrides import TorchFunctionMode
 
 from freerein.atomic_files import write_atomic
-from freerein.errors import InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import tensor_files
 from freerein.learning.checkpoints import JSON
 from freerein.learning.config import C, parse
@@ -98,9 +98,19 @@ def read_card(folder: Path, *, names: ModelFileNames = MODEL) -> dict[str, Any]:
 
 
 def choose_device(device: str) -> torch.device:
-    """Returns the device of a name; `auto` is CUDA when available, else the CPU."""
-    chosen = ("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device
-    return torch.device(chosen)
+    """Returns the device of a name; `auto` is CUDA when available, else the CPU.
+
+    Raises FailedPrecondition when this machine has no such device, or its torch cannot use it.
+    """
+    chosen = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if device == "auto" else device)
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if chosen.type == "cuda" and (chosen.index or 0) >= count:
+        found = f"cpu and cuda:0 to cuda:{count - 1}" if count else "cpu alone, for torch finds no CUDA device"
+        raise FailedPrecondition(
+            f"FREEREIN_DEVICE must be a device of this machine, which has {found}; got {chosen}.",
+            hint="Set it to auto or cpu, or install a CUDA driver and a torch for it; `freerein doctor` lists devices.",
+        )
+    return chosen
 
 
 class _WithoutInitialisation(TorchFunctionMode):

@@ -1,11 +1,47 @@
-"""Settings from the environment, in the spellings that people use."""
+"""Settings from the environment, in the spellings that people use; names that there are not are refused."""
 
+import os
+import re
+from collections.abc import Iterator, Mapping
+from difflib import SequenceMatcher
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, get_args
+from typing import Any, Self, get_args
 
-from pydantic import ValidationInfo, field_validator
+from pydantic import ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from freerein.ports import PORTS
+from freerein.unknown_names import nearest, quoted
+
+OURS = "FREEREIN"
+"""What all variables begin with, before `_`."""
+KNOWN = (
+    *[
+        "TOKEN",
+        "TLS_CERT",
+        "TLS_KEY",
+        "HOST",
+        "HTTP_PORT",
+        "GRPC_PORT",
+        "PORT_BASE",
+        "INSECURE",
+        "LOG_LEVEL",
+        "DATA_DIR",
+        "RECEIPT_S",
+        "WRITE_S",
+    ],
+    *["IDLE_S", "KEEP_ALIVE_S", "PING_S", "DRAIN_DELAY_S", "UNARY_S", "QUEUE", "CORS_ORIGINS"],
+    *["DEVICE", "TRAIN_THREADS", "SHIPPED_DIR", "GOAL_CACHE_BYTES", "SIM_WORKERS", "SIM_SESSIONS", "SIM_ENVS"],
+    *["DATABASE_URL", "EXECUTOR_ID"],
+    *(f"{name.upper()}_ADDRESS" for name in PORTS),
+    *["MEMORY", "ROBOTS"],  # of compose
+    *["FUZZ", "SOAK_MINUTES", "TESTS_FORK_SERVER"],  # of tests
+)
+"""Names after `FREEREIN_` of all variables, of all services: what one does not use, another does."""
+
+_OF_KUBERNETES = re.compile(r"\w+_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP|SCTP)(_\w+)?)")
+_CLOSE = 0.75  # 0 to 1, of a prefix to ours
 
 _WORDS = MappingProxyType(
     {
@@ -22,7 +58,14 @@ class EnvironmentVariables(BaseSettings):
     Spaces around a value do not matter; `~` in a path is the home directory, and an IPv6 address may be in brackets.
     """
 
-    model_config = SettingsConfigDict(env_prefix="FREEREIN_", frozen=True, env_ignore_empty=True)
+    model_config = SettingsConfigDict(env_prefix=f"{OURS}_", frozen=True, env_ignore_empty=True)
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        unknown = list(unknown_variables(os.environ))
+        if unknown:
+            raise ValueError(f"environment variables of freerein must be known; got {' and '.join(unknown)}")
+        return self
 
     @field_validator("*", mode="before")
     @classmethod
@@ -38,6 +81,31 @@ class EnvironmentVariables(BaseSettings):
         if name == "host":
             return unbracketed(value)
         return _WORDS[name].get(value.lower(), value.lower()) if name in _WORDS else value
+
+
+def unknown_variables(environ: Mapping[str, str]) -> Iterator[str]:
+    """Yields the name of each variable of our prefix that is no setting, and the one that was probably meant.
+
+    Kubernetes sets some in every container, where one of its services has a name that begins with ours: they may be.
+    """
+    for variable, value in environ.items():
+        prefix, _, name = variable.upper().partition("_")
+        if not value or (prefix == OURS and name in KNOWN) or _is_of_kubernetes(variable, value):
+            continue
+        if prefix.startswith(OURS) or (name in KNOWN and SequenceMatcher(None, prefix, OURS).ratio() >= _CLOSE):
+            name = name or prefix.removeprefix(OURS)
+            meant = nearest(name, KNOWN) or next((each for each in KNOWN if name in each.split("_")), "")
+            yield f"{quoted(variable)}{f', did you mean `{OURS}_{meant}`?' if meant else ', which is unknown'}"
+
+
+def _is_of_kubernetes(variable: str, value: str) -> bool:
+    return bool(_OF_KUBERNETES.fullmatch(variable)) or (variable.endswith("_PORT") and "://" in value)
+
+
+def reasons(error: ValidationError) -> str:
+    """Returns what is wrong with settings, by their variables, without their values."""
+    found = [("_".join(map(str, each["loc"])).upper(), each["msg"]) for each in error.errors()]
+    return "; ".join(f"{OURS}_{name}: {text}" if name else text.removeprefix("Value error, ") for name, text in found)
 
 
 def expanded(path: str) -> Path:

@@ -64,6 +64,7 @@ def learned_service(
     where there is one.
     """
     store = open_store(name, settings)
+    settings.make_data_dir()
     models = ModelCache(store, load, fit_command=f"freerein fit {name} DATASET{fit_hint}")
     fits = FitService(
         settings.data_dir / "fits" / name,

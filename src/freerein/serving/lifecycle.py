@@ -22,8 +22,9 @@ from pydantic import ValidationError
 
 from freerein import program
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, ServiceError, Unimplemented
-from freerein.ports import PORTS, Ports
+from freerein.ports import Ports, moved
 from freerein.serving import logs
+from freerein.serving.environment import reasons
 from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
@@ -85,7 +86,7 @@ def run(name: str, settings_class: type[S], build: Build[S]) -> NoReturn:
     try:
         settings = settings_class()
     except ValidationError as error:
-        program.end(_cannot_start(_reason(error), CONFIGURATION_ERROR))
+        program.end(_cannot_start(reasons(error), CONFIGURATION_ERROR))
     logs.set_level(settings.log_level)
     uvloop.run(_serve_and_end(settings, build))
 
@@ -198,8 +199,9 @@ async def _wait_for_drain(service: Service, http_server: HttpServer, health: Hea
 
 
 def _chosen_ports(name: str, settings: ServiceSettings) -> Ports:
+    default = moved(name, settings.port_base)
     rest, grpc_port = settings.http_port, settings.grpc_port
-    return Ports(PORTS[name].rest if rest is None else rest, PORTS[name].grpc if grpc_port is None else grpc_port)
+    return Ports(default.rest if rest is None else rest, default.grpc if grpc_port is None else grpc_port)
 
 
 def _bind_both(grpc_server: GrpcServer, settings: ServiceSettings, ports: Ports) -> tuple[socket.socket, int]:
@@ -232,11 +234,6 @@ def _bind_grpc(grpc_server: GrpcServer, settings: ServiceSettings, port: int) ->
         return grpc_server.server.add_insecure_port(address)
     pair = (settings.tls_key.read_bytes(), settings.tls_cert.read_bytes())
     return grpc_server.server.add_secure_port(address, grpc.ssl_server_credentials([pair]))
-
-
-def _reason(error: ValidationError) -> str:
-    found = [("_".join(map(str, each["loc"])).upper(), each["msg"]) for each in error.errors()]
-    return "; ".join(f"FREEREIN_{name}: {text}" if name else text.removeprefix("Value error, ") for name, text in found)
 
 
 def _cannot_start(reason: str, code: int) -> int:

@@ -7,6 +7,8 @@ from typing import Literal, Self
 
 from pydantic import Field, SecretStr, model_validator
 
+from freerein.errors import FailedPrecondition
+from freerein.ports import MAX_PORT_BASE
 from freerein.serving.environment import EnvironmentVariables
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -22,6 +24,7 @@ class ServiceSettings(EnvironmentVariables):
         http_port: Port of the REST API; 0 for a free one, unset for the service's own: orchestrator 8100, segmentation
             8101, imitation 8102, reward 8103, sim 8104.
         grpc_port: Port of the gRPC server; 0 for a free one, unset for the service's own: 9100 to 9104 in that order.
+        port_base: Where default ports begin: REST ports are the five from it on, gRPC ports those 1000 above.
         token: Bearer token that every call except health checks must carry, printable ASCII without spaces; unset for
             none.
         tls_cert: PEM file with the certificate chain; with `tls_key`, REST and gRPC use TLS.
@@ -45,6 +48,7 @@ class ServiceSettings(EnvironmentVariables):
     host: str = "127.0.0.1"
     http_port: int | None = Field(default=None, ge=0, le=65535)
     grpc_port: int | None = Field(default=None, ge=0, le=65535)
+    port_base: int = Field(default=8100, ge=1, le=MAX_PORT_BASE)
     token: SecretStr | None = None
     tls_cert: Path | None = None
     tls_key: Path | None = None
@@ -105,6 +109,16 @@ class ServiceSettings(EnvironmentVariables):
                 "without a path, such as https://robots.example:8443"
             )
         return self
+
+    def make_data_dir(self) -> None:
+        """Makes the data directory. Raises FailedPrecondition where it is not there and cannot be made."""
+        try:
+            self.data_dir.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FailedPrecondition(
+                f"FREEREIN_DATA_DIR must be a folder, or one that can be made; it is missing, and: {error.strerror}.",
+                hint="Set it to a folder that the service may write.",
+            ) from None
 
     @property
     def origins(self) -> tuple[str, ...]:

@@ -18,12 +18,15 @@ from freerein.cli.output import AsJson, command
 from freerein.cli.services import ServiceStatus, Stack, choose, configured_ports
 from freerein.cli.services import free_ports as find_free_ports
 from freerein.cli.settings import CliSettings
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.ports import PORT_BASE
 
 _COLOURS = {"ready": "green", "given up": "red", "misconfigured": "red", "stopped": "dim"}
 
 _Services = Annotated[list[str] | None, typer.Argument(help="Services to run; all installed ones by default.")]
 _FreePorts = Annotated[bool, typer.Option("--free-ports", help="Listen on free ports instead of the standard ones.")]
+_BASE_HELP = "Move all ports: REST from PORT on, gRPC from 1000 above; FREEREIN_PORT_BASE tells other commands, too."
+_PortBase = Annotated[int | None, typer.Option("--port-base", metavar="PORT", help=_BASE_HELP)]
 _Show = Callable[[tuple["ServiceStatus", ...]], None]
 
 app = typer.Typer(add_completion=False)
@@ -31,11 +34,16 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 @command
-def up(services: _Services = None, free_ports: _FreePorts = False, as_json: AsJson = False) -> None:
+def up(
+    services: _Services = None, free_ports: _FreePorts = False, port_base: _PortBase = None, as_json: AsJson = False
+) -> None:
     """Run the services until Ctrl-C; restart them when they crash."""
-    chosen = choose(services or ())
-    ports = find_free_ports(chosen) if free_ports else configured_ports(chosen, os.environ)
-    stack = Stack(chosen, data_dir=CliSettings().data_dir, environ=os.environ, ports=ports)
+    if free_ports and port_base is not None:
+        raise InvalidInput("--free-ports and --port-base both choose ports.", hint="Leave one out.")
+    settings, chosen = CliSettings(), choose(services or ())
+    environ = os.environ if port_base is None else {**os.environ, PORT_BASE: str(port_base)}
+    ports = find_free_ports(chosen) if free_ports else configured_ports(chosen, environ)
+    stack = Stack(chosen, data_dir=settings.data_dir, environ=environ, ports=ports)
     with _display(as_json=as_json) as show:
         asyncio.run(_run(stack, show))
 

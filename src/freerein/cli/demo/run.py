@@ -19,7 +19,7 @@ from freerein.cli.services import Endpoints, ServiceStatus, Stack, choose, free_
 from freerein.cli.services.endpoints import is_free, running_endpoints
 from freerein.cli.settings import CliSettings
 from freerein.clients import ImitationClient, OrchestratorClient, RewardClient, SegmentationClient, SimClient
-from freerein.ports import PORTS, Ports
+from freerein.ports import Ports, default_ports
 
 _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
 _READY_TIMEOUT_S = 300.0
@@ -127,5 +127,6 @@ async def _start(data_dir: Path, reporter: Reporter) -> AsyncGenerator[Endpoints
 
 def _ports() -> dict[str, Ports]:
     """Returns the standard ports, or free ports when one of them is taken."""
-    taken = [port for name in _SERVICES for port in (PORTS[name].rest, PORTS[name].grpc) if not is_free(port)]
-    return free_ports(_SERVICES) if taken else {name: PORTS[name] for name in _SERVICES}
+    usual = {name: default_ports(name, os.environ) for name in _SERVICES}
+    taken = [port for pair in usual.values() for port in (pair.rest, pair.grpc) if not is_free(port)]
+    return free_ports(_SERVICES) if taken else usual

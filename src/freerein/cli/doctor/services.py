@@ -1,18 +1,24 @@
-"""Checks of services: running and ready, or their ports free."""
+"""Checks of services: running, ready, and answering a call with the token and the certificate of the environment."""
 
 import os
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
+from typing import Any
 
 import grpc
 import httpx
 
 from freerein.cli.doctor.machine import CheckResult
-from freerein.cli.services.certificates import certificate_file, tls_context, tls_problem
+from freerein.cli.services.certificates import certificate_file, speaks_tls, tls_context, tls_problem
 from freerein.cli.services.endpoints import configured_host, configured_ports, connectable, is_free
+from freerein.cli.settings import CliSettings
+from freerein.clients.channel import is_loopback
 from freerein.ports import PORTS, Ports, addresses
 
 _TIMEOUT_S = 2.0
+_CALL_S = 10.0
+_LISTS = {"orchestrator": "orchestrator.v1.OrchestratorService/ListRuns", "sim": "sim.v1.SimService/ListTasks"}
+"""A call of each service that needs the token; learned services list their models."""
 
 
 def expected(installed: Collection[str], chosen: Collection[str]) -> list[str]:
@@ -30,6 +36,8 @@ def checks(names: Sequence[str]) -> list[Callable[[], CheckResult]]:
 
     Raises InvalidInput when the environment sets the port of one service, and several are here.
     """
+    if names and (problem := _certificate_problem()):
+        return [lambda: CheckResult("certificate", "problem", problem, "Correct FREEREIN_TLS_CERT.")]
     away = [name for name in names if os.environ.get(_variable(name))]
     here = [name for name in names if name not in away]
     ports = configured_ports(here, os.environ) if here else {}
@@ -55,25 +63,72 @@ def _check_running(name: str, host: str, ports: Ports, *, held: int) -> CheckRes
         return CheckResult(name, "problem", problem, "Set FREEREIN_TLS_CERT as the service has it.")
     answer = _ask(url)
     if answer is None:
+        if _certificate() is None and speaks_tls(connectable(host), ports.rest, timeout_s=_TIMEOUT_S):
+            return _without_certificate(name)
         detail = f"port {held} is used by another program"
         return CheckResult(name, "problem", detail, f"Stop it; `ss -ltnp sport = :{held}` names it.")
     if not answer.is_success:
         return CheckResult(name, "warning", _reason(answer), "Wait, or read logs/<service>.log in the data directory.")
     if not _is_reachable(target):
         return CheckResult(name, "problem", f"gRPC port {ports.grpc} does not answer", "Restart `freerein up`.")
-    return CheckResult(name, "ok", f"ready at {url}, gRPC {target}")
+    return _check_call(name, target) or CheckResult(name, "ok", f"ready at {url}, gRPC {target}")
 
 
 def _check_remote(name: str) -> CheckResult:
     targets = addresses(name, os.environ)
     for target in targets:
-        if not _is_reachable(target):
-            where, _, port = target.rpartition(":")
-            if problem := _tls_problem(where, int(port)):
-                return CheckResult(name, "problem", problem, "Set FREEREIN_TLS_CERT as the service has it.")
-            fix = f"Start it there, or correct {_variable(name)}."
-            return CheckResult(name, "problem", f"no answer at {target}", fix)
+        if found := _check_target(name, target):
+            return found
     return CheckResult(name, "ok", f"answers at {' and '.join(targets)}")
+
+
+def _check_target(name: str, target: str) -> CheckResult | None:
+    """Returns what is wrong with a service at a gRPC address; None where nothing is."""
+    if _is_reachable(target):
+        return _check_call(name, target)
+    host, _, port = target.rpartition(":")
+    if problem := _tls_problem(host, int(port)):
+        return CheckResult(name, "problem", problem, "Set FREEREIN_TLS_CERT as the service has it.")
+    if _certificate() is None and speaks_tls(host, int(port), timeout_s=_TIMEOUT_S):
+        return _without_certificate(name)
+    return CheckResult(name, "problem", f"no answer at {target}", f"Start it there, or correct {_variable(name)}.")
+
+
+def _check_call(name: str, target: str) -> CheckResult | None:
+    """Returns why a call that needs the token fails, or need not; None where it is answered as it should be."""
+    token = CliSettings().token_text
+    status = _status_of_call(name, target, token)
+    if status is grpc.StatusCode.UNAUTHENTICATED:
+        detail = "refuses the token in FREEREIN_TOKEN" if token else "needs a token, and FREEREIN_TOKEN is not set"
+        return CheckResult(name, "problem", detail, "Set FREEREIN_TOKEN as the service has it.")
+    if status is grpc.StatusCode.UNIMPLEMENTED:
+        return CheckResult(name, "problem", f"another service answers at {target}", f"Correct {_variable(name)}.")
+    if status is not grpc.StatusCode.OK:
+        return CheckResult(name, "problem", f"a call at {target} fails: {status.name}", "Read its log.")
+    if token and _status_of_call(name, target, "") is grpc.StatusCode.OK:
+        detail = f"answers at {target} without a token, too, though FREEREIN_TOKEN is set here"
+        return CheckResult(name, "warning", detail, "Start it with FREEREIN_TOKEN.")
+    if token and not _certificate() and not is_loopback(target):
+        detail = f"answers at {target}; the token travels there without TLS"
+        return CheckResult(name, "warning", detail, "Set FREEREIN_TLS_CERT and FREEREIN_TLS_KEY of the service.")
+    return None
+
+
+def _status_of_call(name: str, target: str, token: str) -> grpc.StatusCode:
+    path = f"/freerein.api.{_LISTS.get(name, 'learning.v1.ModelService/ListModels')}"
+    metadata = (("authorization", f"Bearer {token}"),) if token else ()
+    with _channel(target) as channel:
+        call: Any = channel.unary_unary(path)
+        try:
+            call(b"", timeout=_CALL_S, metadata=metadata)
+        except grpc.RpcError as error:
+            return error.code()
+    return grpc.StatusCode.OK
+
+
+def _without_certificate(name: str) -> CheckResult:
+    detail = "speaks TLS, and FREEREIN_TLS_CERT is not set here"
+    return CheckResult(name, "problem", detail, "Set FREEREIN_TLS_CERT to the service's certificate.")
 
 
 def _variable(name: str) -> str:
@@ -112,10 +167,20 @@ def _is_reachable(target: str) -> bool:
 
 
 def _channel(target: str) -> grpc.Channel:
-    certificate = _certificate()
+    certificate, options = _certificate(), [("grpc.enable_http_proxy", int(not is_loopback(target)))]
     if certificate is None:
-        return grpc.insecure_channel(target)
-    return grpc.secure_channel(target, grpc.ssl_channel_credentials(certificate_file(certificate).read_bytes()))
+        return grpc.insecure_channel(target, options)
+    credentials = grpc.ssl_channel_credentials(certificate_file(certificate).read_bytes())
+    return grpc.secure_channel(target, credentials, options)
+
+
+def _certificate_problem() -> str:
+    """Returns why the certificate in the environment cannot be used; empty where it can, or there is none."""
+    try:
+        tls_context(_certificate())
+    except OSError as error:
+        return f"FREEREIN_TLS_CERT must be a PEM file that can be read: {getattr(error, 'reason', error.strerror)}"
+    return ""
 
 
 def _certificate() -> str | None:

@@ -52,6 +52,21 @@ def tls_problem(host: str, port: int, certificate: str, *, called: str = "", tim
     return ""
 
 
+def speaks_tls(host: str, port: int, *, timeout_s: float) -> bool:
+    """Returns whether a TLS handshake with whom a port belongs to succeeds, whoever that is."""
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    context.set_alpn_protocols(["h2", "http/1.1"])
+    try:
+        with (
+            socket.create_connection((host.strip("[]"), port), timeout_s) as plain,
+            context.wrap_socket(plain),
+        ):
+            return True
+    except OSError:
+        return False
+
+
 def _trusting(certificate: str) -> ssl.SSLContext:
     context = ssl.create_default_context(cafile=certificate_file(certificate))
     context.check_hostname = False

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
-from freerein.ports import PORTS, Ports, address
+from freerein.ports import PORTS, Ports, address, default_ports
 from freerein.serving.environment import unbracketed
 
 GROUP = "freerein.services"
@@ -27,8 +27,9 @@ class Endpoints:
 def running_endpoints(names: Iterable[str], environ: Mapping[str, str]) -> Endpoints:
     """Returns where services run: the gRPC addresses of the environment, and on the same hosts the usual REST ports."""
     addresses = {name: address(name, environ) for name in names}
+    ports = {name: default_ports(name, environ).rest for name in addresses}
     scheme = "https" if environ.get("FREEREIN_TLS_CERT") else "http"
-    urls = {name: f"{scheme}://{found.rpartition(':')[0]}:{PORTS[name].rest}" for name, found in addresses.items()}
+    urls = {name: f"{scheme}://{found.rpartition(':')[0]}:{ports[name]}" for name, found in addresses.items()}
     return Endpoints(urls, addresses)
 
 
@@ -64,11 +65,11 @@ def free_ports(names: Iterable[str]) -> dict[str, Ports]:
 
 
 def configured_ports(names: Collection[str], environ: Mapping[str, str]) -> dict[str, Ports]:
-    """Returns the ports of services: the port table's, or for a single service those that the environment sets.
+    """Returns the ports of services: the default ones, or for a single service those that the environment sets.
 
-    `FREEREIN_HTTP_PORT` and `FREEREIN_GRPC_PORT` are read; 0 means a free port.
+    `FREEREIN_PORT_BASE`, `FREEREIN_HTTP_PORT` and `FREEREIN_GRPC_PORT` are read; 0 means a free port.
     """
-    ports = {name: PORTS[name] for name in names}
+    ports = {name: default_ports(name, environ) for name in names}
     for attribute, variable in (("rest", "FREEREIN_HTTP_PORT"), ("grpc", "FREEREIN_GRPC_PORT")):
         if not (value := environ.get(variable, "").strip()):
             continue
@@ -76,7 +77,7 @@ def configured_ports(names: Collection[str], environ: Mapping[str, str]) -> dict
             raise InvalidInput(
                 f"{variable} sets the port of one service; got {len(ports)} services.",
                 field=variable,
-                hint=f"Unset {variable}, name one service, or use --free-ports.",
+                hint=f"Unset {variable}, name one service, or use --port-base or --free-ports.",
             )
         if not (value.isdecimal() and int(value) <= _MAX_PORT):
             raise InvalidInput(
