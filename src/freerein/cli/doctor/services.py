@@ -97,15 +97,21 @@ def _check_target(name: str, target: str) -> CheckResult | None:
 def _check_call(name: str, target: str) -> CheckResult | None:
     """Returns why a call that needs the token fails, or need not; None where it is answered as it should be."""
     token = CliSettings().token_text
-    status = _status_of_call(name, target, token)
-    if status is grpc.StatusCode.UNAUTHENTICATED:
+    refused = _refusal(name, target, token)
+    if refused is None:
+        return _check_exposure(name, target, token)
+    code = refused.code()
+    if code is grpc.StatusCode.UNAUTHENTICATED:
         detail = "refuses the token in FREEREIN_TOKEN" if token else "needs a token, and FREEREIN_TOKEN is not set"
         return CheckResult(name, "problem", detail, "Set FREEREIN_TOKEN as the service has it.")
-    if status is grpc.StatusCode.UNIMPLEMENTED:
+    if code is grpc.StatusCode.UNIMPLEMENTED:
         return CheckResult(name, "problem", f"another service answers at {target}", f"Correct {_variable(name)}.")
-    if status is not grpc.StatusCode.OK:
-        return CheckResult(name, "problem", f"a call at {target} fails: {status.name}", "Read its log.")
-    if token and _status_of_call(name, target, "") is grpc.StatusCode.OK:
+    return CheckResult(name, "warning", f"a call at {target}: {refused.details()}", "Wait, or read its log.")
+
+
+def _check_exposure(name: str, target: str, token: str) -> CheckResult | None:
+    """Returns where a token does not protect what it is meant to; None where it does, or there is none."""
+    if token and _refusal(name, target, "") is None:
         detail = f"answers at {target} without a token, too, though FREEREIN_TOKEN is set here"
         return CheckResult(name, "warning", detail, "Start it with FREEREIN_TOKEN.")
     if token and not _certificate() and not is_loopback(target):
@@ -114,7 +120,8 @@ def _check_call(name: str, target: str) -> CheckResult | None:
     return None
 
 
-def _status_of_call(name: str, target: str, token: str) -> grpc.StatusCode:
+def _refusal(name: str, target: str, token: str) -> Any:
+    """Returns the `grpc.RpcError` of a call with a token; None where the call succeeds."""
     path = f"/freerein.api.{_LISTS.get(name, 'learning.v1.ModelService/ListModels')}"
     metadata = (("authorization", f"Bearer {token}"),) if token else ()
     with _channel(target) as channel:
@@ -122,8 +129,8 @@ def _status_of_call(name: str, target: str, token: str) -> grpc.StatusCode:
         try:
             call(b"", timeout=_CALL_S, metadata=metadata)
         except grpc.RpcError as error:
-            return error.code()
-    return grpc.StatusCode.OK
+            return error
+    return None
 
 
 def _without_certificate(name: str) -> CheckResult:
