@@ -2,6 +2,8 @@
 
 import errno
 import os
+import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 from freerein.errors import OutOfStorage, Unavailable
 
 TEMP_SUFFIX = ".tmp"
+_DELETED = ".deleted-"
 _REFUSALS = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG}
 OUT_OF_FILES = frozenset({errno.EMFILE, errno.ENFILE})
 """Errors of a process, or a machine, that may open no more files."""
@@ -68,6 +71,17 @@ def fsync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def delete_folder(folder: Path) -> None:
+    """Deletes a folder: it is gone at once, by one rename, and then its files are.
+
+    What a killed process left of an earlier deletion beside it is deleted, too. Needs no room on a full disk.
+    """
+    folder.rename(folder.with_name(f"{_DELETED}{secrets.token_hex(4)}"))
+    fsync_folder(folder.parent)
+    for deleted in folder.parent.glob(f"{_DELETED}*"):
+        shutil.rmtree(deleted, ignore_errors=True)
 
 
 def make_folder(folder: Path) -> None:

@@ -75,6 +75,8 @@ CASES = (
     ("CancelRun", orchestrator.CancelRunRequest(RUN)),
     ("CancelRun", orchestrator.CancelRunRequest("1" * 32), "not_found"),
     ("ResumeRun", orchestrator.ResumeRunRequest("1" * 32), "not_found"),
+    ("DeleteRun", orchestrator.DeleteRunRequest("1" * 32), "not_found"),
+    ("DeleteRun", orchestrator.DeleteRunRequest("../x"), "invalid_input"),
     ("ListArtifacts", orchestrator.ListArtifactsRequest(RUN)),
     ("ListArtifacts", orchestrator.ListArtifactsRequest("1" * 32), "not_found"),
     ("GetArtifact", orchestrator.GetArtifactRequest(RUN, "policy.json")),

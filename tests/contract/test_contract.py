@@ -137,6 +137,8 @@ LEARNING_CASES = (
     Case("CancelFit", learning.CancelFitRequest(FIT)),
     Case("CancelFit", learning.CancelFitRequest("1" * 32), "not_found"),
     Case("ResumeFit", learning.ResumeFitRequest("1" * 32), "not_found"),
+    Case("DeleteFit", learning.DeleteFitRequest("1" * 32), "not_found"),
+    Case("DeleteFit", learning.DeleteFitRequest("../x"), "invalid_input"),
     Case("WatchFit", learning.WatchFitRequest("1" * 32), "not_found"),
     Case("WatchFit", learning.WatchFitRequest("x", 3), "invalid_input"),
     Case("ListModels", learning.ListModelsRequest()),
@@ -146,6 +148,8 @@ LEARNING_CASES = (
     Case("ActivateModel", learning.ActivateModelRequest("default", "0" * 12), "not_found"),
     Case("ActivateModel", learning.ActivateModelRequest("", ""), "invalid_input"),
     Case("ActivateModel", learning.ActivateModelRequest("A", VERSION), "invalid_input"),
+    Case("DeleteModel", learning.DeleteModelRequest("", "0" * 12, even_active=True), "not_found"),
+    Case("DeleteModel", learning.DeleteModelRequest("../x"), "invalid_input"),
 )
 
 # --- segmentation
@@ -431,7 +435,7 @@ async def raising(connect: Connect, tmp_path_factory: pytest.TempPathFactory) ->
 
     async def nothing() -> None: ...
 
-    core = SimpleNamespace(list_models=refuse, activate_model=refuse)
+    core = SimpleNamespace(list_models=refuse, activate_model=refuse, delete_model=refuse)
     methods = methods_of(learning_pb2.DESCRIPTOR.services_by_name["ModelService"], core)
     service = Service("raising", methods, nothing, nothing, lambda: "")
     async with connect(lambda _data_dir, _health: service, tmp_path_factory.mktemp("raising")) as opened:

@@ -62,6 +62,9 @@ def test_every_call_is_idempotent_or_known_not_to_be() -> None:
         "Control",
         "SegmentStream",
         "ActivateModel",
+        "DeleteFit",
+        "DeleteModel",
+        "DeleteRun",
         "ResumeFit",
         "ResumeRun",
     }

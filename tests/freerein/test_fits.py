@@ -26,6 +26,7 @@ from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.learning import (
     CancelFitRequest,
+    DeleteFitRequest,
     Fit,
     GetFitRequest,
     ListFitsRequest,
@@ -393,6 +394,24 @@ async def test_a_fit_whose_folder_is_deleted_does_not_hold_up_the_next_one(bench
             os.kill(child, signal.SIGKILL)
         assert (await end(fits, second)).state == "succeeded"
         assert [fit.id for fit in (await fits.list_fits(ListFitsRequest())).fits] == [second.id]
+
+
+async def test_a_fit_is_deleted_once_it_has_ended_and_its_model_stays(bench: Bench) -> None:
+    async with bench.running() as fits:
+        ended = await end(fits, await begin(fits, key="mine"))
+        running = await begin(fits, "wait")
+        await when(fits, running, lambda now: now.step)
+        with pytest.raises(FailedPrecondition, match="running"):
+            await fits.delete_fit(DeleteFitRequest(running.id))
+        await fits.delete_fit(DeleteFitRequest(ended.id))
+        assert [fit.id for fit in (await fits.list_fits(ListFitsRequest())).fits] == [running.id]
+        assert [path.name for path in (bench.root / "fits").iterdir() if path.is_dir()] == [running.id]
+        with pytest.raises(NotFound):
+            await fits.delete_fit(DeleteFitRequest(ended.id))
+        assert (await begin(fits, "wait", key="mine")).state == "queued"  # the key is free again
+        await fits.cancel_fit(CancelFitRequest(running.id))
+        await fits.delete_fit(DeleteFitRequest(running.id))
+    assert bench.store.active_version("default") == ended.model.version
 
 
 async def test_an_idempotency_key_returns_the_fit_already_started_also_after_a_restart(bench: Bench) -> None:

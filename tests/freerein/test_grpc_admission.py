@@ -48,6 +48,8 @@ class Core:
 
     async def activate_model(self, _request: Any) -> Any: ...
 
+    async def delete_model(self, _request: Any) -> Any: ...
+
 
 @asynccontextmanager
 async def serving(

@@ -19,6 +19,7 @@ from freerein.serving.health import Health
 from freerein.types.jobs import JobState
 from freerein.types.orchestrator import (
     CancelRunRequest,
+    DeleteRunRequest,
     GetRunRequest,
     ListRunsRequest,
     ResumeRunRequest,
@@ -40,6 +41,7 @@ class Orchestrator:
         between: Called after all states were read from the database, and before anything is made of them.
         full: Whether the disk refuses the ends of runs.
         away: Whether the database refuses to queue a run again.
+        needed: A run that another builds on.
         attempts: How the next attempts end; then they wait to be interrupted.
         is_attempted: Set when an attempt begins.
     """
@@ -50,9 +52,12 @@ class Orchestrator:
         self.attempts: list[AttemptResult] = []
         self.is_attempted = threading.Event()
         self.known = True
+        self.needed = ""
         self.store = JobStore(data_dir, noun="run")
         self.queue = InterferedQueue(self, data_dir)
-        self.runs = RunService(self.store, self.queue, resolve=self._resolve, health=Health())
+        self.runs = RunService(
+            self.store, self.queue, resolve=self._resolve, health=Health(), check_unused=self._check_unused
+        )
 
     async def start(self, key: str = "") -> str:
         return (await self.runs.start_run(StartRunRequest("ppo", {}, key))).run.id
@@ -70,6 +75,10 @@ class Orchestrator:
                 raise AttemptStopped
         self.store.record(run_id, "running")
         return self.attempts.pop(0)
+
+    def _check_unused(self, run_id: str) -> None:
+        if run_id == self.needed:
+            raise FailedPrecondition("A run must not be in use.")
 
     def _resolve(self, _kind: str, config: Any) -> Resolved:
         if not self.known:
@@ -176,6 +185,23 @@ async def test_the_key_of_a_run_that_was_deleted_starts_nothing(orchestrator):
     with pytest.raises(AlreadyExists):
         await orchestrator.start("key")
     assert not orchestrator.store.exists(run_id)
+
+
+async def test_a_run_is_deleted_once_it_has_ended_unless_another_builds_on_it(orchestrator):
+    orchestrator.attempts.append(REFUSED)
+    run_id, queued = await orchestrator.start("key"), await orchestrator.start()
+    assert (await orchestrator.watch(run_id))[-1] == "failed"
+    with pytest.raises(FailedPrecondition, match="must have ended"):
+        await orchestrator.runs.delete_run(DeleteRunRequest(queued))
+    orchestrator.needed = run_id
+    with pytest.raises(FailedPrecondition, match="in use"):
+        await orchestrator.runs.delete_run(DeleteRunRequest(run_id))
+    orchestrator.needed = ""
+    await orchestrator.runs.delete_run(DeleteRunRequest(run_id))
+    assert [run.id for run in (await orchestrator.runs.list_runs(ListRunsRequest())).runs] == [queued]
+    with pytest.raises(NotFound):
+        await orchestrator.runs.delete_run(DeleteRunRequest(run_id))
+    assert (await orchestrator.get(await orchestrator.start("key"))).state != "failed"  # the key is free again
 
 
 async def test_a_run_that_is_attempted_has_not_ended_whatever_was_recorded_last(orchestrator):

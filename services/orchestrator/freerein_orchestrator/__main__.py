@@ -9,12 +9,13 @@ from typing import Any
 from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.fork_server import ForkServer, StartChild, spawn
 from freerein.jobs.attempt import AttemptRunner
+from freerein.jobs.in_use import check_unused, names_run
 from freerein.jobs.names import LINKS
 from freerein.jobs.store import JobStore
-from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 from freerein.learning.model_files import choose_device
-from freerein.serving.health import Health
+from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 from freerein.ports import PORTS, addresses
+from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
@@ -64,7 +65,7 @@ def build(
         executor_id=settings.executor_id,
     )
     resolve_here = partial(resolve, data_dir=settings.data_dir)
-    runs = RunService(store, queue, resolve=resolve_here, health=health)
+    runs = RunService(store, queue, resolve=resolve_here, health=health, check_unused=partial(_check_unused, settings))
     return Service(
         name=NAME,
         methods=methods_of(orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"], runs),
@@ -72,6 +73,10 @@ def build(
         close=runs.close,
         not_ready=runs.not_ready,
     )
+
+
+def _check_unused(settings: OrchestratorSettings, run_id: str) -> None:
+    check_unused(settings.data_dir, f"Run {run_id[:8]}", names_run(run_id))
 
 
 def resolve(kind: RunKind, config: Mapping[str, Any], data_dir: Path) -> Resolved:

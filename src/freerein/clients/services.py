@@ -67,6 +67,7 @@ class OrchestratorClient(Client):
     get_metrics = UnaryRpc(orchestrator.GetMetricsRequest, orchestrator.GetMetricsResponse)
     cancel_run = UnaryRpc(orchestrator.CancelRunRequest, orchestrator.CancelRunResponse)
     resume_run = UnaryRpc(orchestrator.ResumeRunRequest, orchestrator.ResumeRunResponse)
+    delete_run = UnaryRpc(orchestrator.DeleteRunRequest, orchestrator.DeleteRunResponse)
     list_artifacts = UnaryRpc(orchestrator.ListArtifactsRequest, orchestrator.ListArtifactsResponse)
     get_artifact = ServerStreamRpc(orchestrator.GetArtifactRequest, orchestrator.GetArtifactResponse)
 
@@ -81,6 +82,7 @@ class FitClient(Client):
     get_fit_metrics = UnaryRpc(learning.GetFitMetricsRequest, learning.GetFitMetricsResponse)
     cancel_fit = UnaryRpc(learning.CancelFitRequest, learning.CancelFitResponse)
     resume_fit = UnaryRpc(learning.ResumeFitRequest, learning.ResumeFitResponse)
+    delete_fit = UnaryRpc(learning.DeleteFitRequest, learning.DeleteFitResponse)
 
 
 class ModelClient(Client):
@@ -88,3 +90,4 @@ class ModelClient(Client):
 
     list_models = UnaryRpc(learning.ListModelsRequest, learning.ListModelsResponse)
     activate_model = UnaryRpc(learning.ActivateModelRequest, learning.ActivateModelResponse)
+    delete_model = UnaryRpc(learning.DeleteModelRequest, learning.DeleteModelResponse)

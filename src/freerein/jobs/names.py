@@ -1,6 +1,6 @@
 """Readable names of fits and runs, such as `ppo-yellow-left-of-green-8bc1f7`: beside the id, which remains their id.
 
-<data directory>/named/<name>   a link to the job's folder; those of deleted jobs are removed with the next job
+<data directory>/named/<name>   a link to the job's folder; those of deleted jobs are removed
 """
 
 import os
@@ -31,8 +31,14 @@ def link_by_name(links: Path, folder: Path, name: str) -> None:
     """Makes the link to a job's folder, and removes those of deleted jobs; without it the job is still there."""
     with suppress(OSError):
         links.mkdir(exist_ok=True)
+        remove_broken(links)
+        target = os.path.relpath(folder, links)
+        (links / f"{name}-{folder.name[:_DIGITS]}").symlink_to(target, target_is_directory=True)
+
+
+def remove_broken(links: Path) -> None:
+    """Removes the links to deleted jobs."""
+    with suppress(OSError):
         for link in links.iterdir():
             if link.is_symlink() and not link.exists():
                 link.unlink()
-        target = os.path.relpath(folder, links)
-        (links / f"{name}-{folder.name[:_DIGITS]}").symlink_to(target, target_is_directory=True)

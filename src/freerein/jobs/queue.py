@@ -13,7 +13,7 @@ from freerein.errors import FailedPrecondition, NotFound, Overloaded, ServiceErr
 from freerein.jobs.attempt import INTERNAL_ERROR, AttemptRunner, AttemptStopped, StopRequest
 from freerein.jobs.retry import retry
 from freerein.jobs.store import JobStore
-from freerein.types.jobs import JobState
+from freerein.types.jobs import ENDED, JobState
 
 _log = logging.getLogger(__name__)
 _MAX_WAITING = 64
@@ -100,10 +100,27 @@ class LocalQueue:
                     hint=f"Start a new {self._store.noun}, or cancel this one if it has not ended.",
                 )
             if self._running == job_id:
-                raise Overloaded(f"The last child of this {self._store.noun} is still ending.", hint="Try again.")
+                raise self._store.still_ending()
             self._store.record(job_id, "queued")
             self._waiting.append(job_id)
             self._changed.notify_all()
+
+    def delete(self, job_id: str) -> None:
+        """Deletes a job that has ended.
+
+        Raises:
+            NotFound: There is no such job.
+            FailedPrecondition: The job has not ended.
+            Overloaded: Its child has not ended yet.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._running != job_id or not self._store.last(job_id).ended, _CANCEL_S)
+            state = self._store.last(job_id).state
+            if state not in ENDED:
+                raise self._store.not_ended(state)
+            if self._running == job_id:
+                raise self._store.still_ending()
+            self._store.delete(job_id)
 
     def _run_all(self) -> None:
         while job_id := self._next():

@@ -29,11 +29,11 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from freerein.atomic_files import make_folder, write_atomic
-from freerein.errors import AlreadyExists, InvalidInput, NotFound
+from freerein.atomic_files import delete_folder, make_folder, write_atomic
+from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, Overloaded
 from freerein.jobs.json_lines import LineReader, append, last_document
 from freerein.jobs.metrics import read_metrics
-from freerein.jobs.names import job_name, link_by_name
+from freerein.jobs.names import job_name, link_by_name, remove_broken
 from freerein.jobs.wall_clock import now_ns
 from freerein.types.common import ModelRef, check_id, check_name
 from freerein.types.jobs import ENDED, JobMetrics, JobState, MetricRow
@@ -140,6 +140,33 @@ class JobStore:
         self.check(job_id)
         with self._deleted_is_not_found():
             return dict(json.loads((self.folder(job_id) / "config.json").read_bytes()))
+
+    def delete(self, job_id: str) -> None:
+        """Deletes a job that has ended: it is gone at once, and then its files are.
+
+        Raises NotFound when there is no such job, Overloaded while its last child process is still ending.
+        """
+        self.check(job_id)
+        with self._deleted_is_not_found(), (self.folder(job_id) / "lock").open("ab") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise self.still_ending() from None
+            delete_folder(self.folder(job_id))
+        if self._links is not None:
+            remove_broken(self._links)
+
+    def not_ended(self, state: JobState) -> FailedPrecondition:
+        """Returns the error of a job that cannot be deleted yet."""
+        return FailedPrecondition(
+            f"A {self.noun} to delete must have ended; this one is {state}.",
+            field="id",
+            hint="Cancel it, or wait for its end.",
+        )
+
+    def still_ending(self) -> Overloaded:
+        """Returns the error of a job that has ended, but for its last child process."""
+        return Overloaded(f"The last child of this {self.noun} is still ending.", hint="Try again.")
 
     def page(self, page_size: int, page_token: str) -> tuple[list[str], str]:
         """Returns the ids of one page of jobs, newest first, and the token of the next page, empty on the last.

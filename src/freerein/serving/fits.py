@@ -154,6 +154,17 @@ class FitService:
 
         return learning.ResumeFitResponse(await self._in_thread(resume))
 
+    async def delete_fit(self, request: learning.DeleteFitRequest) -> learning.DeleteFitResponse:
+        """Deletes a fit that has ended; the model that it made stays.
+
+        Raises:
+            NotFound: There is no such fit.
+            FailedPrecondition: The fit has not ended.
+            Overloaded: Its child has not ended yet.
+        """
+        await self._in_thread(lambda: self._queue.delete(request.id))
+        return learning.DeleteFitResponse()
+
     def _start(self, request: learning.StartFitRequest) -> learning.Fit:
         fit_id = self._jobs.find(vars(request))
         if fit_id is None:

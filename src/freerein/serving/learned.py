@@ -9,6 +9,7 @@ from pydantic import Field
 
 from freerein.api.learning.v1 import learning_pb2
 from freerein.fork_server import StartChild, spawn
+from freerein.jobs.in_use import check_unused, names_model
 from freerein.jobs.names import LINKS
 from freerein.serving.batcher import Batcher
 from freerein.serving.fits import FitService
@@ -63,9 +64,14 @@ def learned_service(
     configuration and `threads`; see `FitService`. `make_websocket` makes what opens the connections of a WebSocket,
     where there is one.
     """
-    store = open_store(name, settings)
     settings.make_data_dir()
-    models = ModelCache(store, load, fit_command=f"freerein fit {name} DATASET{fit_hint}")
+    store = open_store(name, settings)
+    models = ModelCache(
+        store,
+        load,
+        fit_command=f"freerein fit {name} DATASET{fit_hint}",
+        check_unused=lambda ref: check_unused(settings.data_dir, f"Model {ref.name} {ref.version}", names_model(ref)),
+    )
     fits = FitService(
         settings.data_dir / "fits" / name,
         module=f"freerein_{name}.fit",

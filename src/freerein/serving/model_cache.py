@@ -13,6 +13,8 @@ from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import (
     ActivateModelRequest,
     ActivateModelResponse,
+    DeleteModelRequest,
+    DeleteModelResponse,
     ListModelsRequest,
     ListModelsResponse,
     Model,
@@ -33,12 +35,21 @@ class ModelCache(Generic[M]):
         store: The models on disk.
         load: Loads and warms up the model of a folder. Called off the event loop.
         fit_command: The command that fits a model, for the error when there is none.
+        check_unused: Raises FailedPrecondition where a version must not be deleted, for a fit or run needs it.
     """
 
-    def __init__(self, store: ModelStore, load: Callable[[Path], M], *, fit_command: str) -> None:
+    def __init__(
+        self,
+        store: ModelStore,
+        load: Callable[[Path], M],
+        *,
+        fit_command: str,
+        check_unused: Callable[[ModelRef], None] = lambda _: None,
+    ) -> None:
         self._store = store
         self._load = load
         self._fit_command = fit_command
+        self._check_unused = check_unused
         self._loaded: OrderedDict[ModelRef, M] = OrderedDict()
         self._loading = asyncio.Lock()
         self._started = False
@@ -107,6 +118,27 @@ class ModelCache(Generic[M]):
         folder = await asyncio.to_thread(self._store.folder, ref)  # checks the files again
         await asyncio.to_thread(self._store.activate, ref, expected_current=request.expected_current)
         return ActivateModelResponse(Model(ref, True, model_card(folder), self._store.published_ns(folder)))
+
+    async def delete_model(self, request: DeleteModelRequest) -> DeleteModelResponse:
+        """Deletes a version, or all of a name; requests that have it already are answered.
+
+        Raises:
+            NotFound: There is none.
+            FailedPrecondition: It came with freerein, is active, or a fit or run that has not ended names it.
+        """
+
+        def delete() -> tuple[ModelRef, ...]:
+            refs = self._store.published(request.name or DEFAULT_NAME, request.version)
+            for ref in refs:
+                self._check_unused(ref)
+            self._store.delete(refs, even_active=request.even_active)
+            return refs
+
+        async with self._loading:  # no model is read meanwhile
+            refs = await asyncio.to_thread(delete)
+            for ref in refs:
+                self._loaded.pop(ref, None)
+        return DeleteModelResponse(refs)
 
     async def _get(self, ref: ModelRef) -> M:
         if ref not in self._loaded:

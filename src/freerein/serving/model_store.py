@@ -9,11 +9,12 @@ import hashlib
 import json
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from freerein.atomic_files import TEMP_SUFFIX, fsync_folder, make_folder, write_atomic
+from freerein.atomic_files import TEMP_SUFFIX, delete_folder, fsync_folder, make_folder, write_atomic
 from freerein.errors import FailedPrecondition, NotFound
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import Model
@@ -31,7 +32,7 @@ class ModelStore:
     def __init__(self, root: Path, shipped: Path | None = None) -> None:
         self._root = root
         self._roots = (root, shipped) if shipped is not None else (root,)
-        self._activating = threading.Lock()  # fits and calls activate on threads of their own
+        self._changing = threading.Lock()  # fits and calls change the store on threads of their own
 
     def publish(self, name: str, folder: Path) -> ModelRef:
         """Moves a folder of files into the store and returns its reference. Equal files have equal versions.
@@ -47,14 +48,15 @@ class ModelStore:
         version = hashlib.sha256(manifest).hexdigest()[:12]
         write_atomic(folder / MANIFEST, manifest)
         target = self._root / name / version
-        make_folder(target.parent)
-        try:
-            folder.rename(target)
-        except OSError as error:
-            if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
-                raise
-            shutil.rmtree(folder)  # the same files are there already
-        fsync_folder(target.parent)
+        with self._changing:
+            make_folder(target.parent)
+            try:
+                folder.rename(target)
+            except OSError as error:
+                if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
+                    raise
+                shutil.rmtree(folder)  # the same files are there already
+            fsync_folder(target.parent)
         return ModelRef(name, version)
 
     def activate(self, ref: ModelRef, *, expected_current: str = "") -> None:
@@ -65,7 +67,7 @@ class ModelStore:
             FailedPrecondition: The active version is not `expected_current`.
         """
         self._find(ref)
-        with self._activating:
+        with self._changing:
             current = self.active_version(ref.name)
             if expected_current and expected_current != current:
                 raise FailedPrecondition(
@@ -74,6 +76,43 @@ class ModelStore:
                     hint="List the models, decide again, and send the version that is active now.",
                 )
             write_atomic(self._root / ref.name / "active.json", json.dumps({"version": ref.version}).encode())
+
+    def published(self, name: str, version: str = "") -> tuple[ModelRef, ...]:
+        """Returns a version, or all of a name, without those that came with freerein.
+
+        Raises:
+            NotFound: There is none.
+            FailedPrecondition: All of them came with freerein.
+        """
+        check_name(name, field="name")
+        wanted = check_name(version, field="version") if version else "*"
+        found = sorted(path.parent.name for path in (self._root / name).glob(f"{wanted}/{MANIFEST}"))
+        if found:
+            return tuple(ModelRef(name, each) for each in found)
+        if any(model.ref.name == name and version in ("", model.ref.version) for model in self.models()):
+            raise FailedPrecondition(
+                "A model to delete must have been published here; this one comes with freerein.",
+                field="name",
+                hint="Those that come with freerein stay.",
+            )
+        raise _not_found(field="name")
+
+    def delete(self, refs: Sequence[ModelRef], *, even_active: bool = False) -> None:
+        """Deletes published versions of one name.
+
+        Raises FailedPrecondition, and deletes nothing, where one is active, unless `even_active`.
+        """
+        with self._changing:
+            for ref in refs:
+                if self.active_version(ref.name) == ref.version:
+                    if not even_active:
+                        raise _is_active(ref)
+                    (self._root / ref.name / "active.json").unlink(missing_ok=True)
+                    fsync_folder(self._root / ref.name)
+            for ref in refs:
+                delete_folder(self._root / ref.name / ref.version)
+                with suppress(OSError):  # other versions are left
+                    (self._root / ref.name).rmdir()
 
     def active_version(self, name: str) -> str:
         """Returns the active version of a name, empty when there is none."""
@@ -131,11 +170,23 @@ class ModelStore:
             path = root / ref.name / ref.version
             if (path / MANIFEST).is_file():
                 return path
-        raise NotFound(
-            "The model must exist in the store; none has that name and version.",
-            field="model",
-            hint="GET /v1/list-models lists them.",
-        )
+        raise _not_found(field="model")
+
+
+def _not_found(*, field: str) -> NotFound:
+    return NotFound(
+        "The model must exist in the store; none has that name and version.",
+        field=field,
+        hint="GET /v1/list-models lists them.",
+    )
+
+
+def _is_active(ref: ModelRef) -> FailedPrecondition:
+    return FailedPrecondition(
+        f"A model to delete must not be active; version {ref.version} of {ref.name} answers requests.",
+        field="version",
+        hint="Activate another version first; or ask for `even_active`, with `freerein models rm` by --active.",
+    )
 
 
 def model_card(folder: Path) -> dict[str, Any]:
@@ -155,7 +206,9 @@ def _version(path: Path) -> str:
 
 
 def _folders(path: Path) -> Iterator[Path]:
-    return (entry for entry in path.iterdir() if entry.is_dir()) if path.is_dir() else iter(())
+    """Yields the folders in a folder, without hidden ones, which are being deleted."""
+    found = path.iterdir() if path.is_dir() else iter(())
+    return (entry for entry in found if entry.is_dir() and not entry.name.startswith("."))
 
 
 def _sha256(path: Path) -> str:

@@ -111,6 +111,15 @@ class ResumeFitResponse:
     fit: Fit
 
 
+class DeleteFitRequest(JobRequest):
+    """Requests to delete one fit by its id."""
+
+
+@dataclass(frozen=True)
+class DeleteFitResponse:
+    """The fit is deleted."""
+
+
 @dataclass(frozen=True)
 class Model:
     """One version of one model.
@@ -160,3 +169,25 @@ class ActivateModelResponse:
     """The model that is now active."""
 
     model: Model
+
+
+@dataclass(frozen=True)
+class DeleteModelRequest:
+    """Requests to delete versions of a model.
+
+    Attributes:
+        name: The model's name; empty for `default`.
+        version: The version to delete; empty for all of this name, apart from those that come with freerein.
+        even_active: Whether the active version may be among them.
+    """
+
+    name: str
+    version: str = ""
+    even_active: bool = False
+
+
+@dataclass(frozen=True)
+class DeleteModelResponse:
+    """The versions that are deleted."""
+
+    models: tuple[ModelRef, ...]

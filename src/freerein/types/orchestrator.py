@@ -104,6 +104,15 @@ class ResumeRunResponse:
     run: Run
 
 
+class DeleteRunRequest(JobRequest):
+    """Requests to delete one run by its id."""
+
+
+@dataclass(frozen=True)
+class DeleteRunResponse:
+    """The run is deleted."""
+
+
 @dataclass(frozen=True)
 class Artifact:
     """A file that a run has written; `size` in bytes."""

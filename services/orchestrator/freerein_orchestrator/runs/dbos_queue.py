@@ -202,6 +202,10 @@ class DbosQueue:
         """Cancels a run, unless it has ended; its worker, whichever that is, stops the attempt soon after."""
         self._query(lambda: self._client.cancel_workflow(run_id))
 
+    def delete(self, run_id: str) -> None:
+        """Forgets an ended run; without an effect where it is not known."""
+        self._query(lambda: self._client.delete_workflow(run_id))
+
     def resume(self, run_id: str) -> None:
         """Queues an ended run again; past failures no longer count."""
         self._query(lambda: self._client.rewind_workflow(run_id, queue_name=_QUEUE))

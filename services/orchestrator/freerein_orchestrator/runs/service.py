@@ -68,10 +68,20 @@ class RunService:
         queue: The runs in the database.
         resolve: Returns the resolved request for a kind and a partial configuration; raises InvalidInput.
         health: Ends the streams of `watch_run` on drain.
+        check_unused: Raises FailedPrecondition where a run, by its id, must not be deleted, for another builds on it.
     """
 
-    def __init__(self, store: JobStore, queue: DbosQueue, *, resolve: Resolve, health: Health) -> None:
+    def __init__(
+        self,
+        store: JobStore,
+        queue: DbosQueue,
+        *,
+        resolve: Resolve,
+        health: Health,
+        check_unused: Callable[[str], None] = lambda _: None,
+    ) -> None:
         self._store = store
+        self._check_unused = check_unused
         self._queue = queue
         self._resolve = resolve
         self._health = health
@@ -216,6 +226,28 @@ class RunService:
 
         return orchestrator.ResumeRunResponse(await self._in_thread(resume))
 
+    async def delete_run(self, request: orchestrator.DeleteRunRequest) -> orchestrator.DeleteRunResponse:
+        """Deletes a run that has ended; its idempotency key is free again.
+
+        Raises:
+            NotFound: There is no such run.
+            FailedPrecondition: The run has not ended, or one that has not ended builds on it.
+            Overloaded: Its child process has not ended yet.
+        """
+
+        def delete() -> None:
+            self._run(request.id)
+            self._check_unused(request.id)
+            with self._store.lock(request.id):
+                state = self._database_state(request.id)
+                if state not in ENDED:
+                    raise self._store.not_ended(state)
+                self._store.delete(request.id)
+            self._queue.delete(request.id)
+
+        await self._in_thread(delete)
+        return orchestrator.DeleteRunResponse()
+
     async def list_artifacts(self, request: orchestrator.ListArtifactsRequest) -> orchestrator.ListArtifactsResponse:
         """Lists the artifacts of a run. Raises NotFound when there is no such run."""
         return orchestrator.ListArtifactsResponse(await asyncio.to_thread(self._store.artifacts, request.id))
@@ -275,14 +307,16 @@ class RunService:
             _log.warning("the end of a run cannot be recorded", extra={"run": run_id})
 
     def _settled_state(self, run_id: str) -> JobState:
+        """Returns the state in the database, unless the run has succeeded: that is final."""
+        is_final = self._store.last(run_id).state == "succeeded"
+        return "succeeded" if is_final else self._database_state(run_id)
+
+    def _database_state(self, run_id: str) -> JobState:
         """Returns the state in the database, which hears of an end a moment after the events on disk."""
         deadline = time.monotonic() + _SETTLE_S
         while True:
-            last = self._store.last(run_id)
-            if last.state == "succeeded":
-                return "succeeded"
             state = self._queue.status(run_id).state
-            if state in ENDED or not last.ended or time.monotonic() > deadline:
+            if state in ENDED or not self._store.last(run_id).ended or time.monotonic() > deadline:
                 return state
             time.sleep(_POLL_S / 4)
 

@@ -70,6 +70,11 @@ class FitServiceStub(object):
                 request_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ResumeFitRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ResumeFitResponse.FromString,
                 _registered_method=True)
+        self.DeleteFit = channel.unary_unary(
+                '/freerein.api.learning.v1.FitService/DeleteFit',
+                request_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteFitRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteFitResponse.FromString,
+                _registered_method=True)
 
 
 class FitServiceServicer(object):
@@ -125,6 +130,13 @@ class FitServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def DeleteFit(self, request, context):
+        """Deletes a fit that has ended, with its checkpoints and metrics; the model that it made stays.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_FitServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -162,6 +174,11 @@ def add_FitServiceServicer_to_server(servicer, server):
                     servicer.ResumeFit,
                     request_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ResumeFitRequest.FromString,
                     response_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ResumeFitResponse.SerializeToString,
+            ),
+            'DeleteFit': grpc.unary_unary_rpc_method_handler(
+                    servicer.DeleteFit,
+                    request_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteFitRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteFitResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -364,9 +381,36 @@ class FitService(object):
             metadata,
             _registered_method=True)
 
+    @staticmethod
+    def DeleteFit(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.learning.v1.FitService/DeleteFit',
+            freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteFitRequest.SerializeToString,
+            freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteFitResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
 
 class ModelServiceStub(object):
-    """Lists models and chooses which version answers.
+    """Lists and deletes models, and chooses which version answers.
     """
 
     def __init__(self, channel):
@@ -385,10 +429,15 @@ class ModelServiceStub(object):
                 request_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ActivateModelRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ActivateModelResponse.FromString,
                 _registered_method=True)
+        self.DeleteModel = channel.unary_unary(
+                '/freerein.api.learning.v1.ModelService/DeleteModel',
+                request_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteModelRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteModelResponse.FromString,
+                _registered_method=True)
 
 
 class ModelServiceServicer(object):
-    """Lists models and chooses which version answers.
+    """Lists and deletes models, and chooses which version answers.
     """
 
     def ListModels(self, request, context):
@@ -400,6 +449,13 @@ class ModelServiceServicer(object):
 
     def ActivateModel(self, request, context):
         """Makes a version the one that answers, between two batches.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def DeleteModel(self, request, context):
+        """Deletes a version, or all of a name; those that come with freerein stay.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -418,6 +474,11 @@ def add_ModelServiceServicer_to_server(servicer, server):
                     request_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ActivateModelRequest.FromString,
                     response_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ActivateModelResponse.SerializeToString,
             ),
+            'DeleteModel': grpc.unary_unary_rpc_method_handler(
+                    servicer.DeleteModel,
+                    request_deserializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteModelRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteModelResponse.SerializeToString,
+            ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
             'freerein.api.learning.v1.ModelService', rpc_method_handlers)
@@ -427,7 +488,7 @@ def add_ModelServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class ModelService(object):
-    """Lists models and chooses which version answers.
+    """Lists and deletes models, and chooses which version answers.
     """
 
     @staticmethod
@@ -474,6 +535,33 @@ class ModelService(object):
             '/freerein.api.learning.v1.ModelService/ActivateModel',
             freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ActivateModelRequest.SerializeToString,
             freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.ActivateModelResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def DeleteModel(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.learning.v1.ModelService/DeleteModel',
+            freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteModelRequest.SerializeToString,
+            freerein_dot_api_dot_learning_dot_v1_dot_learning__pb2.DeleteModelResponse.FromString,
             options,
             channel_credentials,
             insecure,

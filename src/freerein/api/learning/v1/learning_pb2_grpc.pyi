@@ -47,6 +47,8 @@ class FitServiceStub:
     """Cancels a fit; its last checkpoint is kept."""
     ResumeFit: _grpc.UnaryUnaryMultiCallable[_learning_pb2.ResumeFitRequest, _learning_pb2.ResumeFitResponse]
     """Queues a failed or cancelled fit again; it resumes from its last checkpoint."""
+    DeleteFit: _grpc.UnaryUnaryMultiCallable[_learning_pb2.DeleteFitRequest, _learning_pb2.DeleteFitResponse]
+    """Deletes a fit that has ended, with its checkpoints and metrics; the model that it made stays."""
 
 @_typing.type_check_only
 class FitServiceAsyncStub(FitServiceStub):
@@ -67,6 +69,8 @@ class FitServiceAsyncStub(FitServiceStub):
     """Cancels a fit; its last checkpoint is kept."""
     ResumeFit: _aio.UnaryUnaryMultiCallable[_learning_pb2.ResumeFitRequest, _learning_pb2.ResumeFitResponse]  # type: ignore[assignment]
     """Queues a failed or cancelled fit again; it resumes from its last checkpoint."""
+    DeleteFit: _aio.UnaryUnaryMultiCallable[_learning_pb2.DeleteFitRequest, _learning_pb2.DeleteFitResponse]  # type: ignore[assignment]
+    """Deletes a fit that has ended, with its checkpoints and metrics; the model that it made stays."""
 
 class FitServiceServicer(metaclass=_abc_1.ABCMeta):
     """Fits models to datasets, one at a time, each in its own process."""
@@ -127,10 +131,18 @@ class FitServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_learning_pb2.ResumeFitResponse, _abc.Awaitable[_learning_pb2.ResumeFitResponse]]:
         """Queues a failed or cancelled fit again; it resumes from its last checkpoint."""
 
+    @_abc_1.abstractmethod
+    def DeleteFit(
+        self,
+        request: _learning_pb2.DeleteFitRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_learning_pb2.DeleteFitResponse, _abc.Awaitable[_learning_pb2.DeleteFitResponse]]:
+        """Deletes a fit that has ended, with its checkpoints and metrics; the model that it made stays."""
+
 def add_FitServiceServicer_to_server(servicer: FitServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...
 
 class ModelServiceStub:
-    """Lists models and chooses which version answers."""
+    """Lists and deletes models, and chooses which version answers."""
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
@@ -140,19 +152,23 @@ class ModelServiceStub:
     """Returns every version of every model."""
     ActivateModel: _grpc.UnaryUnaryMultiCallable[_learning_pb2.ActivateModelRequest, _learning_pb2.ActivateModelResponse]
     """Makes a version the one that answers, between two batches."""
+    DeleteModel: _grpc.UnaryUnaryMultiCallable[_learning_pb2.DeleteModelRequest, _learning_pb2.DeleteModelResponse]
+    """Deletes a version, or all of a name; those that come with freerein stay."""
 
 @_typing.type_check_only
 class ModelServiceAsyncStub(ModelServiceStub):
-    """Lists models and chooses which version answers."""
+    """Lists and deletes models, and chooses which version answers."""
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     ListModels: _aio.UnaryUnaryMultiCallable[_learning_pb2.ListModelsRequest, _learning_pb2.ListModelsResponse]  # type: ignore[assignment]
     """Returns every version of every model."""
     ActivateModel: _aio.UnaryUnaryMultiCallable[_learning_pb2.ActivateModelRequest, _learning_pb2.ActivateModelResponse]  # type: ignore[assignment]
     """Makes a version the one that answers, between two batches."""
+    DeleteModel: _aio.UnaryUnaryMultiCallable[_learning_pb2.DeleteModelRequest, _learning_pb2.DeleteModelResponse]  # type: ignore[assignment]
+    """Deletes a version, or all of a name; those that come with freerein stay."""
 
 class ModelServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Lists models and chooses which version answers."""
+    """Lists and deletes models, and chooses which version answers."""
 
     @_abc_1.abstractmethod
     def ListModels(
@@ -169,5 +185,13 @@ class ModelServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_learning_pb2.ActivateModelResponse, _abc.Awaitable[_learning_pb2.ActivateModelResponse]]:
         """Makes a version the one that answers, between two batches."""
+
+    @_abc_1.abstractmethod
+    def DeleteModel(
+        self,
+        request: _learning_pb2.DeleteModelRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_learning_pb2.DeleteModelResponse, _abc.Awaitable[_learning_pb2.DeleteModelResponse]]:
+        """Deletes a version, or all of a name; those that come with freerein stay."""
 
 def add_ModelServiceServicer_to_server(servicer: ModelServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

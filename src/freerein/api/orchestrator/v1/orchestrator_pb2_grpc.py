@@ -71,6 +71,11 @@ class OrchestratorServiceStub(object):
                 request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ResumeRunRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ResumeRunResponse.FromString,
                 _registered_method=True)
+        self.DeleteRun = channel.unary_unary(
+                '/freerein.api.orchestrator.v1.OrchestratorService/DeleteRun',
+                request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.DeleteRunRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.DeleteRunResponse.FromString,
+                _registered_method=True)
         self.ListArtifacts = channel.unary_unary(
                 '/freerein.api.orchestrator.v1.OrchestratorService/ListArtifacts',
                 request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListArtifactsRequest.SerializeToString,
@@ -137,6 +142,13 @@ class OrchestratorServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def DeleteRun(self, request, context):
+        """Deletes a run that has ended, with its checkpoints, metrics and artifacts; models and datasets that it made stay.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def ListArtifacts(self, request, context):
         """Lists the artifacts of a run.
         """
@@ -188,6 +200,11 @@ def add_OrchestratorServiceServicer_to_server(servicer, server):
                     servicer.ResumeRun,
                     request_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ResumeRunRequest.FromString,
                     response_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ResumeRunResponse.SerializeToString,
+            ),
+            'DeleteRun': grpc.unary_unary_rpc_method_handler(
+                    servicer.DeleteRun,
+                    request_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.DeleteRunRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.DeleteRunResponse.SerializeToString,
             ),
             'ListArtifacts': grpc.unary_unary_rpc_method_handler(
                     servicer.ListArtifacts,
@@ -391,6 +408,33 @@ class OrchestratorService(object):
             '/freerein.api.orchestrator.v1.OrchestratorService/ResumeRun',
             freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ResumeRunRequest.SerializeToString,
             freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ResumeRunResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def DeleteRun(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.orchestrator.v1.OrchestratorService/DeleteRun',
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.DeleteRunRequest.SerializeToString,
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.DeleteRunResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -49,6 +49,8 @@ class OrchestratorServiceStub:
     """Cancels a run within two seconds; its last checkpoint is kept."""
     ResumeRun: _grpc.UnaryUnaryMultiCallable[_orchestrator_pb2.ResumeRunRequest, _orchestrator_pb2.ResumeRunResponse]
     """Queues a failed or cancelled run again; it resumes from its last checkpoint."""
+    DeleteRun: _grpc.UnaryUnaryMultiCallable[_orchestrator_pb2.DeleteRunRequest, _orchestrator_pb2.DeleteRunResponse]
+    """Deletes a run that has ended, with its checkpoints, metrics and artifacts; models and datasets that it made stay."""
     ListArtifacts: _grpc.UnaryUnaryMultiCallable[_orchestrator_pb2.ListArtifactsRequest, _orchestrator_pb2.ListArtifactsResponse]
     """Lists the artifacts of a run."""
     GetArtifact: _grpc.UnaryStreamMultiCallable[_orchestrator_pb2.GetArtifactRequest, _orchestrator_pb2.GetArtifactResponse]
@@ -75,6 +77,8 @@ class OrchestratorServiceAsyncStub(OrchestratorServiceStub):
     """Cancels a run within two seconds; its last checkpoint is kept."""
     ResumeRun: _aio.UnaryUnaryMultiCallable[_orchestrator_pb2.ResumeRunRequest, _orchestrator_pb2.ResumeRunResponse]  # type: ignore[assignment]
     """Queues a failed or cancelled run again; it resumes from its last checkpoint."""
+    DeleteRun: _aio.UnaryUnaryMultiCallable[_orchestrator_pb2.DeleteRunRequest, _orchestrator_pb2.DeleteRunResponse]  # type: ignore[assignment]
+    """Deletes a run that has ended, with its checkpoints, metrics and artifacts; models and datasets that it made stay."""
     ListArtifacts: _aio.UnaryUnaryMultiCallable[_orchestrator_pb2.ListArtifactsRequest, _orchestrator_pb2.ListArtifactsResponse]  # type: ignore[assignment]
     """Lists the artifacts of a run."""
     GetArtifact: _aio.UnaryStreamMultiCallable[_orchestrator_pb2.GetArtifactRequest, _orchestrator_pb2.GetArtifactResponse]  # type: ignore[assignment]
@@ -140,6 +144,14 @@ class OrchestratorServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_orchestrator_pb2.ResumeRunResponse, _abc.Awaitable[_orchestrator_pb2.ResumeRunResponse]]:
         """Queues a failed or cancelled run again; it resumes from its last checkpoint."""
+
+    @_abc_1.abstractmethod
+    def DeleteRun(
+        self,
+        request: _orchestrator_pb2.DeleteRunRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_orchestrator_pb2.DeleteRunResponse, _abc.Awaitable[_orchestrator_pb2.DeleteRunResponse]]:
+        """Deletes a run that has ended, with its checkpoints, metrics and artifacts; models and datasets that it made stay."""
 
     @_abc_1.abstractmethod
     def ListArtifacts(
