@@ -72,6 +72,7 @@ def build(
         start=runs.start,
         close=runs.close,
         not_ready=runs.not_ready,
+        jobs={"run": folder},
     )
 
 

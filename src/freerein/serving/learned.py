@@ -105,4 +105,5 @@ def learned_service(
         not_ready=lambda: models.not_ready() or batcher.not_ready(),
         hangs=batcher.hangs,
         open_websocket=make_websocket(models) if make_websocket else None,
+        jobs={"fit": settings.data_dir / "fits" / name},
     )

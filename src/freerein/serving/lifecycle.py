@@ -11,9 +11,10 @@ import logging
 import os
 import socket
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NoReturn, TypeVar
 
 import grpc
@@ -55,6 +56,7 @@ class Service:
         not_ready: Returns why it is not ready, empty when it is.
         hangs: Returns whether it can only be helped by a new process.
         open_websocket: Opens a connection of its WebSocket; None for a service without one.
+        jobs: Folders of its jobs by kind, `fit` or `run`.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Service:
     not_ready: Callable[[], str]
     hangs: Callable[[], bool] = lambda: False
     open_websocket: OpenSession | None = None
+    jobs: Mapping[str, Path] = field(default_factory=dict)
 
 
 class _DecodeThreads(ThreadPoolExecutor):
@@ -110,6 +113,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
     health = Health(lambda: built[0].not_ready() if built else "It is starting.")
     service = build(settings, limits, metrics, health)
     built.append(service)
+    metrics.data.data_dir, metrics.data.jobs = settings.data_dir, service.jobs
     app = make_app(
         service.name,
         service.methods,
@@ -199,8 +203,10 @@ async def _wait_for_drain(service: Service, http_server: HttpServer, health: Hea
 
 
 def _chosen_ports(name: str, settings: ServiceSettings) -> Ports:
-    default = moved(name, settings.port_base)
     rest, grpc_port = settings.http_port, settings.grpc_port
+    if rest is not None and grpc_port is not None:
+        return Ports(rest, grpc_port)
+    default = moved(name, settings.port_base)
     return Ports(default.rest if rest is None else rest, default.grpc if grpc_port is None else grpc_port)
 
 

@@ -1,6 +1,11 @@
 """Prometheus metrics of one service. Label values come from fixed sets, never from a request."""
 
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+
+from freerein.serving.job_metrics import DataMetrics
 
 _LATENCY_BUCKETS_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
 _BATCH_BUCKETS = (1, 2, 4, 8, 16, 32)
@@ -18,6 +23,7 @@ class Metrics:
         queued: Items waiting for the model.
         stuck: Model threads in a call that has outlasted every deadline, 0 or 1.
         batches: Items per model call.
+        data: What lies in the data directory.
     """
 
     def __init__(self) -> None:
@@ -46,6 +52,14 @@ class Metrics:
         self.batches = Histogram(
             "freerein_batch_size", "Items per model call.", buckets=_BATCH_BUCKETS, registry=self.registry
         )
+
+        self.data = DataMetrics()
+        self.registry.register(self.data)
+        self._thread = ThreadPoolExecutor(1, "metrics")  # not one that decodes: a disk that hangs ends no decoding
+
+    async def read(self) -> bytes:
+        """Returns all metrics in the Prometheus text format; files are read off the event loop."""
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self.text)
 
     def text(self) -> bytes:
         """Returns all metrics in the Prometheus text format."""

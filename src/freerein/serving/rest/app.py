@@ -266,7 +266,7 @@ def _health_and_metrics_routes(health: Health, metrics: Metrics) -> list[BaseRou
         return Response(b'{"ready":true}', media_type="application/json")
 
     async def prometheus(_request: Request) -> Response:
-        return Response(metrics.text(), media_type="text/plain; version=0.0.4")
+        return Response(await metrics.read(), media_type="text/plain; version=0.0.4")
 
     return [
         Route("/healthz", live),
