@@ -73,6 +73,9 @@ def test_a_whole_dataset_is_labelled_and_the_labels_stay_beside_it(
     assert (document["labelled"], document["skills"]) == (2, ["even", "odd"])
     assert [found.tolist() for found in labels.all_labels(root, np.array([3, 2]))] == [[0, 1, 1], [1, 0]]
     assert labels.info(root).model.version == document["model"]["version"]
+    assert document["path"] == str(root / "labels")
+    said = CliRunner().invoke(app, ["segment", "demos", "--save"]).stdout
+    assert f"The labels are in {root / 'labels'}; freerein dataset export demos" in said
 
 
 def test_the_frames_are_of_the_camera_that_the_model_was_fitted_on(

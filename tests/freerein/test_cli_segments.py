@@ -35,7 +35,7 @@ PARTS = (Segment(0, 25, "push", 0.9), Segment(30, 36_000, "a <b> & c", 0.8))
 
 
 def test_subtitles_last_as_long_as_their_segments_and_hold_no_markup() -> None:
-    assert webvtt(at_rate(answer(*PARTS, timesteps=36_000), fps=10)) == (
+    assert webvtt(at_rate(answer(*PARTS, timesteps=36_000), fps=10).cues) == (
         "WEBVTT\n\n00:00:00.000 --> 00:00:02.500\npush\n\n00:00:03.000 --> 01:00:00.000\na &lt;b&gt; &amp; c\n"
     )
 

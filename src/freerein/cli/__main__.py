@@ -16,7 +16,7 @@ COMMANDS = {
     "sim": "List simulated tasks and record demonstrations.",
     "fit": "Fits of models.",
     "runs": "Runs: collect, fit, label, ppo, distill, evaluate, pipelines and skills; they survive crashes.",
-    "dataset": "Import, inspect, check and annotate datasets.",
+    "dataset": "Import, inspect, check, annotate and export datasets.",
     "models": "Models of the segmentation, imitation and reward services.",
 }
 """The first paragraph of each command's help."""

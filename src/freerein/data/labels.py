@@ -26,7 +26,10 @@ from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import NO_SKILL
 
-_FOLDER, _INFO, _WRITER = "labels", "labels/info.json", "labels/writer.json"
+FOLDER = "labels"
+"""Name of their folder, in that of the dataset."""
+
+_INFO, _WRITER = "labels/info.json", "labels/writer.json"
 _HINT = "Label the dataset first: freerein segment NAME --save."
 
 
@@ -59,8 +62,8 @@ class LabelsWriter:
 
     def __init__(self, root: Path, *, name: str) -> None:
         self._root = root
-        (root / _FOLDER).mkdir(exist_ok=True)
-        self._lock = WriterLock(root / _FOLDER, noun="The labels of a dataset")
+        (root / FOLDER).mkdir(exist_ok=True)
+        self._lock = WriterLock(root / FOLDER, noun="The labels of a dataset")
         try:
             self.goes_on = self._begin(json.dumps({"writer": name}).encode())
         except BaseException:
@@ -82,7 +85,7 @@ class LabelsWriter:
 
     def save(self, index: int, values: npt.NDArray[np.int64]) -> None:
         """Writes the labels of a trajectory, int64 (T,), durably; they are valid once `finish` was called."""
-        write_labels(layout.trajectory_path(self._root / _FOLDER, index), values)
+        write_labels(layout.trajectory_path(self._root / FOLDER, index), values)
 
     def finish(self, info: LabelsInfo) -> None:
         """Marks the labels complete, once those of every trajectory are saved."""
@@ -119,7 +122,7 @@ def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
         FailedPrecondition: The trajectory was not labelled.
         InvalidInput: Its labels are corrupt.
     """
-    path = layout.trajectory_path(root / _FOLDER, index)
+    path = layout.trajectory_path(root / FOLDER, index)
     if not path.is_file():
         raise FailedPrecondition(f"Trajectory {index} must have a skill for every timestep; it has none.", hint=_HINT)
     return read_labels(path, index=index)

@@ -60,19 +60,19 @@ def read(root: Path, options: LeRobotOptions = DEFAULTS) -> LeRobotMeta:
         NotFound: There is no dataset.
         InvalidInput: It is not a supported LeRobotDataset v3: other version, unsupported action, or corrupt.
     """
-    info = _read_info(root)
+    info = read_info(root)
     described = lerobot_features.described(info.get("features"))
     videos = [key for key, feature in described.items() if feature.get("dtype") == "video"]
     episodes, damaged = lerobot_tables.read_episodes(root, videos, skip_damaged=options.skip_damaged)
     unlocated = [key for key in videos if not lerobot_tables.has_video(episodes, key)]
     features = lerobot_features.choose(described, options, unlocated=unlocated)
     if options.skip_damaged:
-        episodes, contradicting = _consistent(root, episodes, features, fps=_fps(info))
+        episodes, contradicting = _consistent(root, episodes, features, fps=fps_of(info))
         damaged |= contradicting
     damaged |= _uncounted(info, len(episodes))
     tasks = lerobot_tables.read_texts(root, layout.TASKS_FILE, "task")
     spec = DatasetSpec(
-        fps=_fps(info),
+        fps=fps_of(info),
         cameras={name: camera.size for name, camera in features.cameras.items()},
         action=_action(root, features.action),
         robot_type=str(info.get("robot_type") or ""),
@@ -116,8 +116,8 @@ def _consistent(root: Path, episodes: pa.Table, features: Features, *, fps: int)
     return episodes.filter(kept), {f"episode {number}": reason for number in sorted(wrong)}
 
 
-def _read_info(root: Path) -> dict[str, Any]:
-    """Returns `info.json` of a dataset of version 3 with LeRobot's own paths."""
+def read_info(root: Path) -> dict[str, Any]:
+    """Returns `info.json` of a dataset of version 3 with LeRobot's own paths; raises as `read`."""
     path = root / layout.INFO_FILE
     if not path.is_file():
         raise NotFound(
@@ -140,7 +140,8 @@ def _read_info(root: Path) -> dict[str, Any]:
     return info
 
 
-def _fps(info: Mapping[str, Any]) -> int:
+def fps_of(info: Mapping[str, Any]) -> int:
+    """Returns the timesteps per second; raises InvalidInput where they are no whole number."""
     fps = info.get("fps")
     if isinstance(fps, bool) or not isinstance(fps, int | float) or fps not in range(1, _HIGHEST_FPS + 1):
         raise InvalidInput(

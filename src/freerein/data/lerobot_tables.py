@@ -70,6 +70,12 @@ def read_columns(root: Path, file: str, names: Sequence[str]) -> pa.Table:
         return parquet.read(columns=present, use_threads=False).select(present)
 
 
+def with_column(table: pa.Table, name: str, values: pa.Array) -> pa.Table:
+    """Returns a table with a column, in place of another one of its name."""
+    place = table.schema.get_field_index(name)
+    return table.append_column(name, values) if place < 0 else table.set_column(place, name, values)
+
+
 def has_video(episodes: pa.Table, key: str) -> bool:
     """Returns whether the table says where the frames of a camera lie."""
     return set(_video_columns(key)) <= set(episodes.column_names)

@@ -1,4 +1,4 @@
-"""`freerein dataset`: imports, inspects, checks and annotates datasets; finds the ones that other commands name."""
+"""`freerein dataset`: imports, inspects, checks, annotates and exports datasets; finds those that others name."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict
@@ -9,6 +9,7 @@ import typer
 
 from freerein import data
 from freerein.cli.output import AsJson, ago, command, print_json, progress_bar, show_table
+from freerein.cli.segments.export import export_labels_to
 from freerein.cli.settings import CliSettings
 from freerein.data import (
     Dataset,
@@ -29,7 +30,9 @@ from freerein.errors import InvalidInput, NotFound
 from freerein.jobs import wall_clock
 from freerein.types.common import Trajectory
 
-app = typer.Typer(help="Import, inspect, check and annotate datasets.", no_args_is_help=True, add_completion=False)
+app = typer.Typer(
+    help="Import, inspect, check, annotate and export datasets.", no_args_is_help=True, add_completion=False
+)
 
 _MOST_GOAL_TEXTS = 6
 _LARGEST_SIDE = 1024
@@ -227,6 +230,36 @@ def label(
     text = table.read_bytes()
     count = data.label(dataset_root(name), text, options=options, with_tags=with_tags, on_note=notes.append)
     _show_count(name, "labelled", count, notes, as_json=as_json)
+
+
+@app.command()
+@command
+def export(
+    name: _Name,
+    *,
+    lerobot: Annotated[
+        Path | None,
+        typer.Option(metavar="ORIGINAL", help="Write into the LeRobotDataset v3 that it was imported from."),
+    ] = None,
+    csv: Annotated[Path | None, typer.Option(help="Write a table, `trajectory,start,end,skill`, to this file.")] = None,
+    vtt: Annotated[
+        Path | None, typer.Option(help="Write subtitles, WebVTT, of each trajectory to this folder.")
+    ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace other subtasks that the LeRobotDataset has.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write the labels of `freerein segment NAME --save` where other programs read them.
+
+    In a LeRobotDataset they become rows of style `subtask` in `language_persistent`, and the stages that SARM reads;
+    its images, actions and all else stay as they are.
+    """
+    written = export_labels_to(dataset_root(name), lerobot=lerobot, csv=csv, vtt=vtt, replaces=replace)
+    if as_json:
+        print_json({"dataset": name, **{form: str(path) for form, path in written.items()}})
+    else:
+        typer.echo("\n".join(f"The labels of {name} are in {path}." for path in written.values()))
 
 
 def _show_import(name: str, source: Source, warnings: Sequence[str], *, said: Collection[str], as_json: bool) -> None:

@@ -20,7 +20,7 @@ from freerein.cli.segments import picture, timeline
 from freerein.cli.segments.timeline import Timeline
 from freerein.cli.segments.webvtt import webvtt
 from freerein.clients import SegmentationClient
-from freerein.data import Dataset, read_actions, read_choices
+from freerein.data import Dataset, labels, read_actions, read_choices
 from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.data.lookup import choose_camera
 from freerein.errors import InvalidInput, NotFound
@@ -109,7 +109,7 @@ def segment(
     if png is not None:
         picture.draw(png, labelled, film)
     if vtt is not None:
-        write_atomic(vtt, webvtt(labelled).encode())
+        write_atomic(vtt, webvtt(labelled.cues).encode())
     if as_json:
         print_json({**wire.to_json(labelled.answer), "flagged": timeline.flagged([labelled.answer.in_distribution])})
     else:
@@ -231,13 +231,14 @@ class LabelledDataset:
 
 
 def _show_saved(dataset: str, count: int, labelled: LabelledDataset, *, as_json: bool) -> None:
-    info, flagged = labelled.info, labelled.flagged
+    info, flagged, folder = labelled.info, labelled.flagged, dataset_root(dataset) / labels.FOLDER
     if as_json:
         model = {"name": info.model.name, "version": info.model.version}
         document = {"dataset": dataset, "labelled": count, "skills": list(info.skills), "model": model}
-        print_json({**document, "flagged": flagged})
+        print_json({**document, "flagged": flagged, "path": str(folder)})
         return
     typer.echo(f"Labelled {count} trajectories of {dataset} by model {info.model.name} {info.model.version}.")
+    typer.echo(f"The labels are in {folder}; freerein dataset export {dataset} writes them for other programs.")
     for text in filter(None, (timeline.warning(flagged), labelled.note)):
         typer.echo(text)
 

@@ -33,6 +33,11 @@ class Timeline:
     time_s: npt.NDArray[np.float64]
     note: str = ""
 
+    @property
+    def cues(self) -> list[tuple[float, float, str]]:
+        """When each segment starts and ends, in seconds, and its skill."""
+        return [(self.time_s[each.start], self.time_s[each.end], each.skill) for each in self.answer.segments]
+
 
 def at_rate(answer: SegmentResponse, *, fps: float) -> Timeline:
     """Returns the timeline of a trajectory with a constant number of timesteps per second."""

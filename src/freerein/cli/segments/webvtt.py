@@ -1,18 +1,14 @@
 """Segments as WebVTT, the subtitles of web players: each skill is shown while it lasts."""
 
-from freerein.cli.segments.timeline import Timeline
+from collections.abc import Iterable
 
 _ESCAPES = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 
-def webvtt(timeline: Timeline) -> str:
-    """Returns the segments as the text of a `.vtt` file."""
-    cues = [
-        f"{_time(timeline.time_s[segment.start])} --> {_time(timeline.time_s[segment.end])}\n"
-        f"{segment.skill.translate(_ESCAPES)}\n"
-        for segment in timeline.answer.segments
-    ]
-    return "\n".join(["WEBVTT\n", *cues])
+def webvtt(cues: Iterable[tuple[float, float, str]]) -> str:
+    """Returns skills as the text of a `.vtt` file, given when each starts and ends, in seconds."""
+    texts = (f"{_time(start)} --> {_time(end)}\n{skill.translate(_ESCAPES)}\n" for start, end, skill in cues)
+    return "\n".join(["WEBVTT\n", *texts])
 
 
 def _time(seconds: float) -> str:
