@@ -91,6 +91,8 @@ def test_a_recording_is_not_gone_on_with_by_another_request(recorder: Path) -> N
     code, printed = _demonstrate("--out", "demos", "--count", "2", "--seed", "2")
 
     assert (code, json.loads(printed)["error"]["code"]) == (1, "failed_precondition")
+    assert _demonstrate("--out", "demos", "--count", "2", "--seed", "2", "--replace")[0] == 0
+    assert len(Dataset(recorder / "demos")) == 2
 
 
 @pytest.mark.parametrize("words", [["nothing"], ["grid", "--skill", "fly"], ["grid", "--condition", "night"]])

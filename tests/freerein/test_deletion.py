@@ -2,21 +2,31 @@
 
 import fcntl
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import PIL.Image
 import pytest
+from click.testing import Result
+from typer.testing import CliRunner
 
 from freerein.atomic_files import delete_folder
-from freerein.errors import FailedPrecondition, NotFound, Overloaded
+from freerein.cli.__main__ import app
+from freerein.data import Dataset, DatasetSpec, FolderSource, create, open_writer
+from freerein.data.dataset_recorder import recording
+from freerein.data.folder_locks import in_use
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound, Overloaded
 from freerein.jobs.in_use import IsNamed, check_unused, names_dataset, names_model, names_run
 from freerein.jobs.store import JobStore
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
-from freerein.types.common import ModelRef
+from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein.types.learning import ActivateModelRequest, DeleteModelRequest
 
 RUN = "8bc1f7" + "0" * 26
+SPEC = DatasetSpec(fps=10, cameras={"top": (4, 5, 3)}, action=ActionSpec(2, 0, ("x", "y")), robot_type="arm")
 POLICY = {"policy": {"model": "tiny", "version": "1" * 12}}
 
 
@@ -151,3 +161,94 @@ def test_another_thing_of_a_similar_name_is_not_in_use(
 ) -> None:
     job(tmp_path, "runs", config)
     check_unused(tmp_path, "It", is_named)
+
+
+@pytest.fixture
+def demos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the dataset `demos`, of one trajectory."""
+    monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path))
+    recorded(tmp_path / "datasets" / "demos")
+    return tmp_path / "datasets" / "demos"
+
+
+def recorded(root: Path, frames: int = 3) -> Path:
+    with create(root, SPEC) as writer:
+        writer.append(Trajectory({"top": np.zeros((frames, 4, 5, 3), np.uint8)}, np.zeros((frames, 2), np.float32)))
+    return root
+
+
+def images(folder: Path, *sizes: int) -> FolderSource:
+    """Returns the frames of a folder of images, square of so many pixels each."""
+    (folder / "take").mkdir(parents=True)
+    for number, size in enumerate(sizes):
+        PIL.Image.new("RGB", (size, size)).save(folder / "take" / f"{number}.png")
+    return FolderSource(folder)
+
+
+def freerein(*words: str) -> Result:
+    return CliRunner().invoke(app, list(words))
+
+
+def test_a_dataset_is_deleted_damaged_or_not_and_of_a_link_the_link_alone(tmp_path: Path, demos: Path) -> None:
+    (recorded(tmp_path / "datasets" / "damaged") / "meta/info.json").unlink()
+    elsewhere = recorded(tmp_path / "elsewhere")
+    demos.with_name("linked").symlink_to(elsewhere)
+    result = freerein("dataset", "rm", "demos", "damaged", "linked")
+    assert (result.exit_code, result.stdout.count("Deleted dataset")) == (0, 3)
+    assert not list(demos.parent.iterdir())
+    assert len(Dataset(elsewhere)) == 1
+    again = freerein("dataset", "rm", "demos", "--json")
+    assert json.loads(again.stderr)["error"]["code"] == "not_found"
+
+
+def test_a_dataset_that_a_fit_reads_or_a_process_writes_stays_and_is_not_replaced(tmp_path: Path, demos: Path) -> None:
+    images(tmp_path / "pictures", 4)
+    with open_writer(demos):
+        assert freerein("dataset", "rm", "demos").exit_code == 1
+    fit = job(tmp_path, "fits/segmentation", {"dataset": "demos"})
+    for words in (["rm", "demos"], ["import", str(tmp_path / "pictures"), "demos", "--replace"]):
+        result = freerein("dataset", *words)
+        assert result.exit_code == 1
+        assert f"fit {fit[:8]}" in result.stderr
+    assert len(Dataset(demos)[0].actions) == 3
+
+
+def test_a_dataset_is_replaced_once_the_new_one_is_whole(tmp_path: Path, demos: Path) -> None:
+    pictures = str(tmp_path / "pictures")
+    images(tmp_path / "pictures", 4, 4)
+    (tmp_path / "pictures/take/2.png").write_bytes(b"torn")
+    taken = freerein("dataset", "import", pictures, "demos")
+    assert "--replace" in taken.stderr
+    assert freerein("dataset", "import", pictures, "demos", "--replace").exit_code == 1
+    assert len(Dataset(demos)[0].actions) == 3
+    (tmp_path / "pictures/take/2.png").unlink()
+    assert freerein("dataset", "import", pictures, "demos", "--replace").exit_code == 0
+    assert Dataset(demos).lengths.tolist() == [2]
+    assert [path.name for path in demos.parent.iterdir()] == ["demos"]
+
+
+def test_decoded_frames_are_pruned_and_what_killed_processes_left_and_nothing_else(tmp_path: Path, demos: Path) -> None:
+    frames = Dataset(demos).cached_frames("top")
+    (demos / "cache" / "mine").mkdir()
+    (demos / "cache" / "mine" / "notes.txt").write_text("of the user")
+    recorded(demos.with_name(".import-0") / "half")
+    with in_use(demos.with_name(".import-1")):
+        result = freerein("dataset", "prune", "--json")
+        assert json.loads(result.stdout)["freed_bytes"] > 3 * 4 * 5 * 3
+        assert {path.name for path in demos.parent.iterdir()} == {"demos", ".import-1"}
+    assert [path.name for path in (demos / "cache").rglob("*")] == ["mine", "notes.txt"]
+    assert frames[0].shape == (3, 4, 5, 3)  # a fit that reads them goes on
+    assert np.array_equal(Dataset(demos).cached_frames("top")[0], frames[0])
+
+
+def test_a_recording_of_nothing_leaves_no_dataset_and_an_empty_one_is_in_nobodys_way(tmp_path: Path) -> None:
+    root = tmp_path / "datasets" / "demos"
+    with pytest.raises(InvalidInput), recording(root, SPEC, {}):
+        raise InvalidInput("Refused.")
+    assert not list(root.parent.iterdir())
+    create(root, replace(SPEC, fps=20)).close()  # as a process that was killed leaves it
+    with recording(root, SPEC, {"seed": 1}) as writer:
+        writer.append(Trajectory({"top": np.zeros((1, 4, 5, 3), np.uint8)}, np.zeros((1, 2), np.float32)))
+    with pytest.raises(FailedPrecondition, match="its own request"), recording(root, SPEC, {"seed": 2}):
+        pass
+    assert len(Dataset(root)) == 1

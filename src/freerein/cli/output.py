@@ -75,6 +75,13 @@ def show_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     console.print(table)
 
 
+def delete_each(names: Sequence[str], delete: Callable[[str], object], *, noun: str, as_json: bool) -> None:
+    """Deletes one thing after another, and says so of each; the first that is refused ends it."""
+    for name in names:
+        delete(name)
+        print_json({noun: name, "deleted": True}) if as_json else typer.echo(f"Deleted {noun} {name}.")
+
+
 def ago(time_ns: int, *, now_ns: int) -> str:
     """Returns how long ago a Unix time in nanoseconds was, such as `3 min ago`; empty for 0, an unknown time."""
     seconds = max(0, now_ns - time_ns) // 10**9

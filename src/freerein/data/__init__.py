@@ -9,7 +9,8 @@
     <root>/truth/          ground-truth labels for evaluation; only `freerein.data.truth` opens it
 
 `create` and `open_writer` write, `Dataset` reads; `inspect`, `verify` and `check` report on a dataset; `tag` and
-`label` bring annotations that people made; `import_trajectories` brings datasets of other tools.
+`label` bring annotations that people made; `import_trajectories` brings datasets of other tools. `delete` and `prune`
+make room.
 """
 
 from freerein.data.action_table import read_actions as read_actions
@@ -36,6 +37,8 @@ from freerein.data.meta import read_teachers as read_teachers
 from freerein.data.meta import save_teachers as save_teachers
 from freerein.data.mime import MimeSource as MimeSource
 from freerein.data.reader import Dataset as Dataset
+from freerein.data.removal import delete as delete
+from freerein.data.removal import prune as prune
 from freerein.data.tag_checks import Problem as Problem
 from freerein.data.tag_checks import tag_problems as tag_problems
 from freerein.data.timestep_texts import TextKind as TextKind

@@ -4,16 +4,17 @@
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from freerein import wire
-from freerein.atomic_files import write_atomic
+from freerein.atomic_files import delete_folder, write_atomic
 from freerein.clients.tasks import select_task
-from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer
+from freerein.data import DatasetSpec, Writer, create, delete, integer_fps, open_writer
 from freerein.errors import FailedPrecondition, InvalidInput, Unavailable
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksResponse, Task
 
@@ -21,12 +22,14 @@ from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTask
 class DatasetRecorder:
     """Writes the demonstrations of a request into a dataset, each once; a context manager.
 
-    A new dataset is made for the first demonstration, so that a request that the service refuses leaves none.
+    A new dataset is made for the first demonstration, so that a request that the service refuses leaves none, and
+    keeps one that is to be replaced.
 
     Args:
         root: The dataset's folder; existing trajectories are kept.
         request: The request; its `first` is ignored.
         tasks: Tasks of the sim service.
+        replaces: Whether a dataset that is there is deleted first, whatever it holds.
 
     Raises:
         NotFound: Unknown task.
@@ -34,7 +37,9 @@ class DatasetRecorder:
         FailedPrecondition: The dataset was recorded with another request or by another version, or has another writer.
     """
 
-    def __init__(self, root: Path, request: DemonstrateRequest, tasks: ListTasksResponse) -> None:
+    def __init__(
+        self, root: Path, request: DemonstrateRequest, tasks: ListTasksResponse, *, replaces: bool = False
+    ) -> None:
         self._root = root
         self._spec = dataset_spec(
             select_task(tasks, request.task), cameras=request.cameras, height=request.height, width=request.width
@@ -44,7 +49,8 @@ class DatasetRecorder:
         if request.conditions:
             self._as_json["conditions"] = sorted(request.conditions)
         self._request = request
-        self._writer = self._open() if root.exists() else None
+        self._replaces = replaces
+        self._writer = self._open() if root.exists() and not replaces else None
 
     def __len__(self) -> int:
         """Returns the number of trajectories on disk."""
@@ -80,10 +86,29 @@ class DatasetRecorder:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         if self._writer is not None:
-            self._writer.close()
+            close(self._writer, self._root)
 
     def _open(self) -> Writer:
+        if self._replaces and self._root.exists():
+            delete(self._root)
         return open_or_resume(self._root, self._spec, self._as_json)
+
+
+@contextmanager
+def recording(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) -> Iterator[Writer]:
+    """Yields the writer of `open_or_resume`; a dataset of which nothing was recorded is deleted in the end."""
+    writer = open_or_resume(root, spec, request)
+    try:
+        yield writer
+    finally:
+        close(writer, root)
+
+
+def close(writer: Writer, root: Path) -> None:
+    """Closes the writer of a dataset; deletes the dataset if nothing was recorded."""
+    if not len(writer):
+        delete_folder(root)
+    writer.close()
 
 
 def open_or_resume(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) -> Writer:
@@ -97,27 +122,38 @@ def open_or_resume(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) ->
     Raises:
         FailedPrecondition: The dataset was recorded with another request, or has another writer.
     """
-    writer = open_writer(root) if root.exists() else create(root, spec)
+    writer = _opened(root, spec)
     try:
         path = root / "recording.json"
         earlier = json.loads(path.read_bytes()) if path.is_file() else None
         if len(writer) and earlier != request:
             raise FailedPrecondition(
                 "A recording can be resumed only with its own request; this dataset was recorded with another.",
-                hint="Choose another name for the dataset, or ask for the same with a larger count.",
+                hint="Choose another name for the dataset, ask for the same with a larger count, or delete it: "
+                "`freerein dataset rm NAME`.",
             )
         if writer.spec != spec:
             raise FailedPrecondition(
                 "A recording can be resumed only by a version of freerein that stores the same features; this dataset "
                 "was begun by another.",
-                hint="Choose another name for the dataset.",
+                hint="Choose another name for the dataset, or delete it: `freerein dataset rm NAME`.",
             )
         if earlier != request:
             write_atomic(path, json.dumps(request).encode())
     except BaseException:
-        writer.close()
+        close(writer, root)
         raise
     return writer
+
+
+def _opened(root: Path, spec: DatasetSpec) -> Writer:
+    """Returns the writer of a dataset that holds something, or of a new one: an empty one resumes nothing."""
+    if root.exists():
+        writer = open_writer(root)
+        if len(writer):
+            return writer
+        close(writer, root)
+    return create(root, spec)
 
 
 def dataset_spec(task: Task, *, cameras: tuple[str, ...], height: int, width: int) -> DatasetSpec:

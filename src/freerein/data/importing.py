@@ -13,6 +13,7 @@ from freerein.data import truth
 from freerein.data.counter_columns import CounterColumns
 from freerein.data.folder_locks import temporary_folder
 from freerein.data.layout import DatasetSpec
+from freerein.data.removal import replace
 from freerein.data.trajectory_file import State
 from freerein.data.writer import Writer, create
 from freerein.errors import AlreadyExists, InvalidInput
@@ -69,24 +70,26 @@ class Source(Protocol):
 
 
 def import_trajectories(
-    source: Source, root: Path, *, on_count: Callable[[int], None] = lambda _: None
+    source: Source, root: Path, *, replaces: bool = False, on_count: Callable[[int], None] = lambda _: None
 ) -> tuple[str, ...]:
     """Writes a new dataset with the trajectories of a source; nothing is left of one that fails.
 
     Args:
         source: The trajectories.
         root: The new dataset's folder.
+        replaces: Whether a dataset that is there is replaced, once the new one is whole.
         on_count: Called with the number of trajectories written.
 
     Returns:
         Warnings of what was written.
 
     Raises:
-        AlreadyExists: `root` exists.
+        AlreadyExists: `root` exists, and is not to be replaced.
+        FailedPrecondition: The dataset to replace is being written.
         InvalidInput: A trajectory is missing or corrupt, does not match the spec, or there is none.
         UnsupportedMedia, Unimplemented: As `freerein.video.open_video`.
     """
-    if root.exists():
+    if _is_taken(root) and not replaces:
         raise _taken()
     if not len(source):
         raise InvalidInput("What is imported must hold a trajectory; it holds none.", hint="Name another folder.")
@@ -101,12 +104,24 @@ def import_trajectories(
                 on_count(count)
             if not len(writer):
                 raise InvalidInput("A trajectory must be whole; none is.", hint="`freerein dataset verify FOLDER`.")
-        try:
-            unfinished.rename(root)
-        except OSError:
-            raise _taken() from None
-    fsync_folder(root.parent)
+        _publish(unfinished, root, aside=folder / "replaced" if replaces else None)
     return tuple(counters.sentences())
+
+
+def _publish(unfinished: Path, root: Path, *, aside: Path | None) -> None:
+    """Gives a new dataset its name; where there is one of that name, it is moved aside, or this is refused."""
+    if aside is not None and _is_taken(root):
+        replace(root, unfinished, aside=aside)
+        return
+    try:
+        unfinished.rename(root)
+    except OSError:
+        raise _taken() from None
+    fsync_folder(root.parent)
+
+
+def _is_taken(root: Path) -> bool:
+    return root.exists() or root.is_symlink()
 
 
 def _append(writer: Writer, root: Path, source: Source, recorded: Recorded) -> None:
@@ -122,5 +137,7 @@ def _append(writer: Writer, root: Path, source: Source, recorded: Recorded) -> N
 
 def _taken() -> AlreadyExists:
     return AlreadyExists(
-        "A new dataset needs a name that is not taken; this one is.", hint="Choose another name, or use that dataset."
+        "A new dataset needs a name that is not taken; this one is.",
+        field="dataset",
+        hint="Choose another name, use that dataset, or replace it: --replace. `freerein dataset rm NAME` deletes it.",
     )

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from freerein import data
-from freerein.cli.output import AsJson, ago, command, print_json, progress_bar, show_table
+from freerein.cli.output import AsJson, ago, command, delete_each, print_json, progress_bar, show_table
 from freerein.cli.segments.export import export_labels_to
 from freerein.cli.settings import CliSettings
 from freerein.data import (
@@ -28,6 +28,7 @@ from freerein.data import (
 )
 from freerein.errors import InvalidInput, NotFound
 from freerein.jobs import wall_clock
+from freerein.jobs.in_use import check_unused, names_dataset
 from freerein.types.common import Trajectory
 
 app = typer.Typer(
@@ -37,6 +38,8 @@ app = typer.Typer(
 _MOST_GOAL_TEXTS = 6
 _LARGEST_SIDE = 1024
 _REPEATABLE = "repeatable; of layout lerobot."
+
+Replace = Annotated[bool, typer.Option("--replace", help="Replace a dataset of this name, once the new one is whole.")]
 
 _Texts = TextKind | None
 _Features = list[str] | None
@@ -88,6 +91,7 @@ def import_dataset(
     skip_damaged: Annotated[
         bool, typer.Option("--skip-damaged", help="Import what is whole of a LeRobotDataset, and count the rest.")
     ] = False,
+    replace: Replace = False,
     as_json: AsJson = False,
 ) -> None:
     """Import trajectories of another tool: video is decoded once, actions stay in their own unit.
@@ -102,7 +106,7 @@ def import_dataset(
     said = source.notes  # before video is decoded, which may take an hour
     if not as_json:
         typer.echo("".join(f"{note}\n" for note in said), nl=False)
-    warnings = import_with_progress(source, name, is_shown=not as_json)
+    warnings = import_with_progress(source, name, replaces=replace, is_shown=not as_json)
     _show_import(name, source, warnings, said=said, as_json=as_json)
 
 
@@ -130,10 +134,11 @@ def _source(
     return FolderSource(path, size=size, fps=fps, tags=table) if kind == "folder" else MimeSource(path, size=size)
 
 
-def import_with_progress(source: Source, name: str, *, is_shown: bool) -> tuple[str, ...]:
+def import_with_progress(source: Source, name: str, *, replaces: bool, is_shown: bool) -> tuple[str, ...]:
     """Imports trajectories into the data directory, with a bar; returns and raises as `import_trajectories`."""
+    root = replaceable_root(name) if replaces else dataset_root(name)
     with progress_bar(f"importing {name}", total=len(source), is_shown=is_shown) as on_count:
-        return import_trajectories(source, dataset_root(name), on_count=on_count)
+        return import_trajectories(source, root, replaces=replaces, on_count=on_count)
 
 
 def _names(given: list[str] | None) -> tuple[str, ...]:
@@ -234,6 +239,25 @@ def label(
 
 @app.command()
 @command
+def rm(
+    names: Annotated[list[str], typer.Argument(metavar="NAME...", help="Names of datasets in the data directory.")],
+    as_json: AsJson = False,
+) -> None:
+    """Delete datasets; one that a fit or run reads, or a process writes, stays and the error says so."""
+    roots = [replaceable_root(name) for name in names]
+    delete_each(names, lambda name: data.delete(roots[names.index(name)]), noun="dataset", as_json=as_json)
+
+
+@app.command()
+@command
+def prune(as_json: AsJson = False) -> None:
+    """Delete the decoded frames of all datasets, which take much room; the next fit decodes them again."""
+    freed = data.prune(CliSettings().data_dir / "datasets")
+    print_json({"freed_bytes": freed}) if as_json else typer.echo(f"{freed / 1e6:.1f} MB are free again.")
+
+
+@app.command()
+@command
 def export(
     name: _Name,
     *,
@@ -297,6 +321,12 @@ def _report(name: str, root: Path, examine: Callable[[Path], list[Problem]], *, 
 def dataset_root(name: str) -> Path:
     """Returns the folder of a dataset in the data directory, whether or not it exists."""
     return dataset_path(CliSettings().data_dir, check_no_path(name))
+
+
+def replaceable_root(name: str) -> Path:
+    """Returns the folder of a dataset; raises FailedPrecondition where a fit or run that has not ended names it."""
+    check_unused(CliSettings().data_dir, f"The dataset {name}", names_dataset(name))
+    return dataset_root(name)
 
 
 def check_no_path(name: str) -> str:

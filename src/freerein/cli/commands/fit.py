@@ -1,16 +1,22 @@
 """`freerein fit`: start, list, watch, report, cancel and resume fits; their metrics."""
 
 import re
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from freerein import wire
-from freerein.cli.commands.dataset import check_no_path, dataset_root, import_with_progress
+from freerein import data, wire
+from freerein.cli.commands.dataset import (
+    Replace,
+    check_no_path,
+    dataset_root,
+    import_with_progress,
+    replaceable_root,
+)
 from freerein.cli.connection import call, call_each, check_all_answer, check_only_unavailable
 from freerein.cli.jobs import display, fit_report
 from freerein.cli.jobs.display import check_succeeded
@@ -19,16 +25,17 @@ from freerein.cli.jobs.next_steps import after_fit, say_next_steps
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_fit
-from freerein.cli.output import AsJson, ago, command, print_json, show_all, show_table
+from freerein.cli.output import AsJson, ago, command, delete_each, print_json, show_all, show_table
 from freerein.clients import FitClient, ModelClient, SegmentationClient
 from freerein.data import ImageSource
 from freerein.data.lookup import unseen_cameras
 from freerein.data.meta import read_spec
-from freerein.errors import InvalidInput, ServiceError
+from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
 from freerein.jobs import wall_clock
 from freerein.types.jobs import MetricRow
 from freerein.types.learning import (
     CancelFitRequest,
+    DeleteFitRequest,
     Fit,
     GetFitMetricsRequest,
     GetFitRequest,
@@ -94,6 +101,7 @@ def reward(
         ),
     ] = None,
     phrases: _Phrases = None,
+    replace: Replace = False,
     model_name: Annotated[str, typer.Option(help="Name of the model; `default` when empty.")] = "",
     settings: Settings = None,
     watch: _WatchEnd = False,
@@ -107,16 +115,28 @@ def reward(
             field="dataset",
             hint="Write freerein fit reward --images DIR --phrases 'a red ball' --phrases 'a blue ball'.",
         )
-    if images:
-        source = ImageSource(images)
-        import_with_progress(source, name, is_shown=not as_json)
-        typer.echo("".join(f"{note}\n" for note in source.notes if not as_json), nl=False)
     named = [phrase.strip() for given in phrases or () for phrase in given.split(",")]
     config = configuration(settings) | ({"phrases": named} if named else {})
     request = StartFitRequest(check_no_path(name), model_name, config)
-    fit = call(FitClient, "reward", lambda client: client.start_fit(request)).fit
+    with _imported(images, name, replaces=replace, as_json=as_json) if images else nullcontext():
+        fit = call(FitClient, "reward", lambda client: client.start_fit(request)).fit
     _say_cameras(fit, as_json=as_json)
     _show_or_watch("reward", fit, watch=watch, as_json=as_json)
+
+
+@contextmanager
+def _imported(images: Path, name: str, *, replaces: bool, as_json: bool) -> Iterator[None]:
+    """Imports a folder of images as a dataset; deletes one that is new again where the fit is refused."""
+    source, is_new = ImageSource(images), not dataset_root(name).exists()
+    import_with_progress(source, name, replaces=replaces, is_shown=not as_json)
+    typer.echo("".join(f"{note}\n" for note in source.notes if not as_json), nl=False)
+    try:
+        yield
+    except BaseException:
+        with suppress(FailedPrecondition):  # the fit was queued, though no answer came
+            if is_new:
+                data.delete(replaceable_root(name))
+        raise
 
 
 def _say_cameras(fit: Fit, *, as_json: bool) -> None:
@@ -225,6 +245,22 @@ def cancel(fit: _Id, service: _Service = "", as_json: AsJson = False) -> None:
     found, fit_id = _find(fit, service)
     cancelled = call(FitClient, found, lambda client: client.cancel_fit(CancelFitRequest(fit_id))).fit
     _show([(found, cancelled)], as_json=as_json)
+
+
+@app.command()
+@command
+def rm(
+    fits: Annotated[list[str], typer.Argument(metavar="ID...", help="Ids of fits, their first digits or names.")],
+    service: _Service = "",
+    as_json: AsJson = False,
+) -> None:
+    """Delete fits that have ended, with their checkpoints; the models that they made stay."""
+    services = {fit_id: found for found, fit_id in (_find(fit, service) for fit in fits)}
+
+    def delete(fit_id: str) -> None:
+        call(FitClient, services[fit_id], lambda client: client.delete_fit(DeleteFitRequest(fit_id)))
+
+    delete_each(list(services), delete, noun="fit", as_json=as_json)
 
 
 @app.command()

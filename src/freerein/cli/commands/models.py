@@ -7,11 +7,11 @@ import typer
 
 from freerein import wire
 from freerein.cli.connection import call, call_each, check_only_unavailable
-from freerein.cli.output import AsJson, ago, command, show_all
+from freerein.cli.output import AsJson, ago, command, print_json, show_all
 from freerein.clients import ImitationClient, ModelClient
 from freerein.jobs import wall_clock
 from freerein.types.imitation import PublishPolicyRequest
-from freerein.types.learning import ActivateModelRequest, ListModelsRequest, Model
+from freerein.types.learning import ActivateModelRequest, DeleteModelRequest, ListModelsRequest, Model
 
 _LEARNED = ("segmentation", "imitation", "reward")
 _FINGERPRINT_DIGITS = 12
@@ -49,6 +49,25 @@ def activate(
     request = ActivateModelRequest(name, version, expected_current)
     active = call(ModelClient, service, lambda client: client.activate_model(request)).model
     _show([(service, active)], as_json=as_json)
+
+
+@app.command()
+@command
+def rm(
+    name: Annotated[str, typer.Argument(help="Model name.")],
+    version: Annotated[str, typer.Argument(help="Version to delete; all of this name when empty.")] = "",
+    *,
+    active: Annotated[
+        bool, typer.Option("--active", help="Delete the active version, too, which answers requests that name none.")
+    ] = False,
+    service: Annotated[str, typer.Option(help="The service that owns the model.")] = "segmentation",
+    as_json: AsJson = False,
+) -> None:
+    """Delete a version of a model, or all; one that comes with freerein, or that a fit or run needs, stays."""
+    request = DeleteModelRequest(name, version, even_active=active)
+    deleted = call(ModelClient, service, lambda client: client.delete_model(request)).models
+    for ref in deleted:
+        print_json({"service": service, **vars(ref)}) if as_json else typer.echo(f"Deleted {ref.name} {ref.version}.")
 
 
 @app.command()

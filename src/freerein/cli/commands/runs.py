@@ -18,7 +18,7 @@ from freerein.cli.jobs.next_steps import after_run, say_next_steps
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_run
-from freerein.cli.output import AsJson, ago, command, print_json, show_all
+from freerein.cli.output import AsJson, ago, command, delete_each, print_json, show_all
 from freerein.clients import OrchestratorClient
 from freerein.errors import InvalidInput
 from freerein.jobs import wall_clock
@@ -26,6 +26,7 @@ from freerein.jobs.names import job_name
 from freerein.types.jobs import MetricRow
 from freerein.types.orchestrator import (
     CancelRunRequest,
+    DeleteRunRequest,
     GetArtifactRequest,
     GetMetricsRequest,
     GetRunRequest,
@@ -124,6 +125,20 @@ def resume(run: _Id, *, iterations: _Iterations = None, watch: _Watch = False, a
     else:
         resumed = _ask(lambda client: client.resume_run(ResumeRunRequest(run_id))).run
     _show_or_watch(resumed, watch=watch, as_json=as_json)
+
+
+@app.command()
+@command
+def rm(
+    runs: Annotated[list[str], typer.Argument(metavar="ID...", help="Ids of runs, their first digits or names.")],
+    as_json: AsJson = False,
+) -> None:
+    """Delete runs that have ended, with their artifacts; models and datasets that they made stay."""
+
+    def delete(run_id: str) -> None:
+        _ask(lambda client: client.delete_run(DeleteRunRequest(run_id)))
+
+    delete_each(list(dict.fromkeys(map(_whole, runs))), delete, noun="run", as_json=as_json)
 
 
 @app.command()

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from freerein import wire
-from freerein.cli.commands.dataset import dataset_root
+from freerein.cli.commands.dataset import Replace, dataset_root, replaceable_root
 from freerein.cli.connection import call
 from freerein.cli.jobs.streams import reconnecting
 from freerein.cli.output import AsJson, command, print_json, progress_bar, show_table
@@ -50,6 +50,7 @@ def demonstrate(
         list[str] | None, typer.Option(help="Condition of the task; repeatable. None by default.")
     ] = None,
     truth: Annotated[bool, typer.Option("--truth", help="Store true labels beside the data, for evaluation.")] = False,
+    replace: Replace = False,
     as_json: AsJson = False,
 ) -> None:
     """Record demonstrations of a task into a dataset."""
@@ -67,21 +68,36 @@ def demonstrate(
         privileged=truth,
         conditions=tuple(condition or ()),
     )
+    root = dataset_root(out) if not replace else replaceable_root(out)
     with progress_bar(f"recording {out}", total=count, is_shown=not as_json) as on_count:
-        held = call(SimClient, "sim", lambda client: record(client, request, dataset_root(out), on_count=on_count))
+
+        async def use(client: SimClient) -> int:
+            return await record(client, request, root, replaces=replace, on_count=on_count)
+
+        held = call(SimClient, "sim", use)
     if as_json:
         print_json({"dataset": out, "trajectories": held})
     else:
         typer.echo(f"The dataset {out} holds {held} {'trajectory' if held == 1 else 'trajectories'}.")
 
 
-async def record(client: SimClient, request: DemonstrateRequest, root: Path, *, on_count: Callable[[int], None]) -> int:
+async def record(
+    client: SimClient,
+    request: DemonstrateRequest,
+    root: Path,
+    *,
+    replaces: bool = False,
+    on_count: Callable[[int], None],
+) -> int:
     """Records demonstrations until a dataset holds `request.count`; trajectories that it holds already stay.
+
+    With `replaces` they go, once the first new one arrives.
 
     Returns the number of trajectories in the dataset, with which `on_count` is called at the start and after each one.
     Raises FailedPrecondition where the dataset was recorded with other options.
     """
-    with DatasetRecorder(root, request, await client.list_tasks(ListTasksRequest())) as recording:
+    tasks = await client.list_tasks(ListTasksRequest())
+    with DatasetRecorder(root, request, tasks, replaces=replaces) as recording:
         on_count(len(recording))
         if not recording.is_complete:
             async with aclosing(reconnecting(lambda: _rest(client, recording))) as demonstrations:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from freerein.clients.tasks import find_task
 from freerein.data import Writer
-from freerein.data.dataset_recorder import dataset_spec, open_or_resume
+from freerein.data.dataset_recorder import dataset_spec, recording
 from freerein.errors import FailedPrecondition
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.checkpoints import JSON
@@ -74,7 +74,7 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
         with closing(open_envs(())) as envs:
             return init_state(ppo, network, envs, device=device, make_reward_learner=make_icm, inputs=inputs)
 
-    with open_or_resume(root, spec, inputs) as writer:
+    with recording(root, spec, inputs) as writer:
         Trainer(
             context.folder,
             init=lambda: retry.call(init),

@@ -245,5 +245,5 @@ def _name_taken() -> AlreadyExists:
     return AlreadyExists(
         "The rollouts need a new dataset; there is one of this name.",
         field="config.dataset",
-        hint="Choose another name, or leave it out.",
+        hint="Choose another name, leave it out, or delete that dataset: `freerein dataset rm NAME`.",
     )

@@ -1,0 +1,73 @@
+"""Deletes datasets, and what can be made again: decoded frames, and what killed processes left."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+
+from freerein.atomic_files import delete_folder, fsync_folder
+from freerein.data.folder_locks import unused
+from freerein.data.meta import WriterLock
+from freerein.errors import NotFound
+
+_CACHED = "*.raw*"
+"""Files of `freerein.data.cache`, and those that killed processes were building."""
+
+
+def delete(root: Path) -> None:
+    """Deletes a dataset, damaged or not; of a link to a dataset elsewhere, the link.
+
+    Raises:
+        NotFound: There is none.
+        FailedPrecondition: A process is writing it.
+    """
+    with _unwritten(root):
+        if root.is_symlink():
+            root.unlink()
+        else:
+            delete_folder(root)
+
+
+def replace(root: Path, new: Path, *, aside: Path) -> None:
+    """Puts a new dataset in the place of another, which is moved aside; raises as `delete`."""
+    with _unwritten(root):
+        root.rename(aside)
+        new.rename(root)
+    fsync_folder(root.parent)
+
+
+def prune(datasets: Path) -> int:
+    """Deletes the decoded frames of all datasets, and what killed processes left; returns the bytes of it.
+
+    A fit that reads decoded frames goes on: their space is free when it ends. Those being made stay.
+
+    Args:
+        datasets: Folder of the datasets.
+    """
+    freed = 0
+    for folder in unused(datasets.glob("*/cache/*")):
+        for file in folder.glob(_CACHED):
+            freed += file.stat().st_size
+            file.unlink()
+        with suppress(OSError):  # other files are left
+            folder.rmdir()
+    for folder in unused(datasets.glob(".*-*")):
+        freed += sum(file.lstat().st_size for file in folder.rglob("*"))
+        shutil.rmtree(folder, ignore_errors=True)
+    return freed
+
+
+@contextmanager
+def _unwritten(root: Path) -> Iterator[None]:
+    """Keeps writers out of a dataset; a link is replaced without a look at where it leads."""
+    if root.is_symlink():
+        yield
+    elif root.is_dir():
+        with closing(WriterLock(root)):
+            yield
+    else:
+        raise NotFound(
+            "The dataset must be in the data directory; there is none of that name.",
+            field="dataset",
+            hint="`freerein dataset list` names all.",
+        )
