@@ -22,7 +22,7 @@ from freerein.learning.model_files import save_model
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec
 from freerein.types.sim import CreateSessionRequest, Predicate, Task
-from freerein_orchestrator.envs.episodes import run_episodes
+from freerein_orchestrator.envs.episodes import replay, run_episodes
 from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import check_predicates
 from freerein_orchestrator.kinds import KINDS
@@ -104,10 +104,12 @@ def test_episodes_of_equal_sessions_begin_in_equal_states_whatever_the_policy_dr
         )
         seeing = replace(policies[0], cameras=("front",))
         unrecorded = run_episodes(sim, request, seeing, lambda: None, max_steps=4)[1]
+        replayed = replay(sim, request, first.actions, lambda: None, camera="front", times=[0, 2, 4])
     assert unrecorded.frames == {}
     assert first.frames["front"].shape == (5, 64, 64, 3)
     np.testing.assert_array_equal(first.states, again.states)
     np.testing.assert_array_equal(first.frames["front"], again.frames["front"])
+    np.testing.assert_array_equal(first.frames["front"][[0, 2, 4]], replayed)
     np.testing.assert_array_equal(first.states[0], other.states[0])
     assert not np.array_equal(first.actions, other.actions)
 
@@ -123,7 +125,7 @@ def test_landmarks_are_followed_from_the_starts_of_the_rollouts_that_they_come_f
     assert result["counts"] == {"episodes": 4, "landmarks": 8}
     assert {"landmarks_recognized", "visited.at_landmark", "visited.goal_ece"} <= set(result["figures"])
     frames, pursuits = frames_of(run), run.artifact("frames.json")
-    assert len(frames["goals"]) == 2
+    assert frames["goals"].shape == (2, 256, 256, 3)
     assert len(frames["ends"]) == len(pursuits)
     assert (run.folder / "artifacts" / VIDEO).is_file()
     whole = evaluation(LANDMARKS)

@@ -1,7 +1,7 @@
 """Whole episodes of a policy in a task of the sim service."""
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -86,11 +86,10 @@ def run_episodes(
     Raises:
         ServiceError: The service or the policy failed; the episodes can be run again.
     """
-    session: str = sim.create_session(request).session
     rendered = tuple(dict.fromkeys((*policy.cameras, *cameras)))
     steps: list[_Step] = []
     lengths = np.zeros(request.num_envs, np.int64)
-    try:
+    with _session(sim, request) as session:
         acting = policy.start(PolicySession(session, request.seed or 0, goals))
         first = sim.reset(ResetRequest(session, cameras=rendered, recipes=tuple(recipes)))
         frames, starts = first.frames, np.ones(request.num_envs, np.bool_)
@@ -101,11 +100,58 @@ def run_episodes(
             steps.append(_Step(frames, output, reply).recorded(cameras))
             frames, starts = reply.frames, reply.terminated | reply.truncated
             lengths[starts & (lengths == 0)] = len(steps)
+    lengths[lengths == 0] = len(steps)
+    return tuple(_episode(first.truth, steps[:length], env) for env, length in enumerate(lengths))
+
+
+def replay(
+    sim: SyncClient,
+    request: CreateSessionRequest,
+    actions: Actions,
+    interrupt: Callable[[], None],
+    *,
+    camera: str,
+    times: Collection[int],
+    recipes: Sequence[Recipe] = (),
+) -> Frames:
+    """Returns frames of an episode that was run before, uint8 (K, H, W, C), in order of time.
+
+    Args:
+        sim: The sim service's client.
+        request: A session equal to that of the episode, but of another frame size, whose last environment had it.
+        actions: The episode's, as executed: float32 (T, A) or int64 (T, 1).
+        interrupt: Called before each step; raises to stop.
+        camera: What is rendered.
+        times: K different timesteps, 0 to T: frame t is before action t.
+        recipes: What the environments' episodes require; empty for what the worlds draw.
+
+    Raises:
+        InvalidInput: The world renders no frames of this size.
+        ServiceError: The service failed; the episode can be replayed again.
+    """
+    frames = []
+    with _session(sim, request) as session:
+        first = sim.reset(ResetRequest(session, cameras=(camera,), recipes=tuple(recipes)))
+        if 0 in times:
+            frames.append(first.frames[camera][-1])
+        for t, action in enumerate(actions[: max(times, default=0)], 1):
+            interrupt()
+            cameras = (camera,) if t in times else ()
+            step = StepRequest(session, t, np.tile(action, (request.num_envs, 1)), cameras=cameras)
+            reply: StepResponse = sim.step(step)
+            if cameras:
+                frames.append(_final_frames(reply, request.num_envs - 1)[camera])
+    return np.array(frames, np.uint8)
+
+
+@contextmanager
+def _session(sim: SyncClient, request: CreateSessionRequest) -> Iterator[str]:
+    session: str = sim.create_session(request).session
+    try:
+        yield session
     finally:
         with suppress(ServiceError):  # its lease will end it
             sim.close_session(CloseSessionRequest(session), timeout_s=_CLOSE_TIMEOUT_S)
-    lengths[lengths == 0] = len(steps)
-    return tuple(_episode(first.truth, steps[:length], env) for env, length in enumerate(lengths))
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from freerein_orchestrator.kinds.context import RunContext
 
 VIDEO = "policy.mp4"
 MAX_FRAMES, _MAX_BYTES = 300, 2**28
-_HEIGHT = 256
+HEIGHT = 256
 _LEAST_FPS, _MOST_FPS = 1.0, 240.0
 _CODEC = "libx264"
 _MISSING = f"{VIDEO} is left out: it needs PyAV, which is not installed. pip install 'freerein[video]'"
@@ -73,7 +73,7 @@ def _mp4(frames: npt.NDArray[np.uint8], fps: Fraction) -> bytes:
 
 def _enlarged(frame: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     """Returns a frame in colour, enlarged by a whole factor, with even sides, which the codec needs."""
-    factor = max(1, _HEIGHT // frame.shape[0])
+    factor = max(1, HEIGHT // frame.shape[0])
     large = np.broadcast_to(frame, (*frame.shape[:2], 3)).repeat(factor, axis=0).repeat(factor, axis=1)
     height, width, _ = large.shape
     return np.pad(large, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

@@ -125,8 +125,8 @@ def filmstrip_figure(goals: Sequence[FilmstripGoal], failure: Sequence[Filmstrip
     figure = new_figure(
         above + len(robots) * (2 * row + gap * side) + (len(robots) - 1) * between + below,
         "Following goal images never seen",
-        "what a robot saw when it went on to the next goal, at the model's own resolution; green: truly there, red: "
-        "not; learned from random exploration",
+        "what a robot saw when it went on to the next goal; green: truly there, red: not; learned from random "
+        "exploration",
         left=left,
         top=1.0,
     )

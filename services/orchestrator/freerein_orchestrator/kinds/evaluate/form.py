@@ -9,17 +9,21 @@ import numpy.typing as npt
 
 from freerein.clients import SyncClient
 from freerein.clients.tasks import find_camera
+from freerein.errors import InvalidInput
 from freerein.learning.config import bounded
 from freerein.metrics import mean_interval, ratio_interval
-from freerein.types.common import Goal
+from freerein.types.common import Camera
 from freerein.types.sim import CreateSessionRequest, Recipe, Task
-from freerein_orchestrator.envs.episodes import derive_seed, run_episodes
-from freerein_orchestrator.envs.policies import PolicyHandle
+from freerein_orchestrator.envs.episodes import derive_seed, replay
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.policy_store import PolicyStore
-from freerein_orchestrator.kinds.policy_video import MAX_FRAMES, can_film, max_frames
+from freerein_orchestrator.kinds.policy_video import HEIGHT, MAX_FRAMES
+from freerein_orchestrator.rl.vec_env import Actions
 
 Frames = npt.NDArray[np.uint8]
+
+FILMED = "filmed"
+"""Name of a trial's actions that its policy's film replays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +56,12 @@ class Trial:
 
     Attributes:
         values: JSON; empty for a trial that could not be measured. Its numbers are the trial's metrics.
-        frames: What pictures may show of it, uint8, by name. Of the frames of one name only the first trial's are kept:
-            their number must not grow with that of the trials.
+        shown: Arrays of what pictures may show of it, by name: frames, or actions to replay. Of one name only the first
+            trial's are kept: their number must not grow with that of the trials.
     """
 
     values: dict[str, Any]
-    frames: dict[str, Frames] = field(default_factory=dict)
+    shown: dict[str, npt.NDArray[Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ class Result:
         details: More values, JSON, by name.
         pictures: Describes the frames, JSON; written only where there are some.
         frames: What pictures show, uint8, by name.
-        film: Frames of the policy's first episode, uint8 (T, H, W, C); None without a policy, or where it is not kept.
+        film: Frames of the policy's first episode, uint8 (T, H, W, C); None without a policy.
     """
 
     figures: dict[str, Figure]
@@ -145,40 +149,46 @@ class Setup(Generic[C]):
             max_episode_steps=max_steps,
         )
 
-    def film(
+    def replay(
         self,
-        policy: PolicyHandle,
-        goal: Goal,
+        trial: int,
+        actions: Actions,
+        cameras: Sequence[str],
         *,
+        times: Collection[int] | None = None,
         recipes: Sequence[Recipe] = (),
         episode_steps: int = 0,
-        max_steps: int = MAX_FRAMES,
-    ) -> Frames | None:
-        """Returns the frames of the first trial's episode, run again by itself; None where no video can be written.
+    ) -> Frames:
+        """Returns frames of a trial's episode, uint8 (K, H, W, C), large enough for people if its world renders such.
 
         Args:
-            policy: Acts.
-            goal: Its goal.
-            recipes: What the episode requires; empty for what the world draws.
+            trial: The trial's index.
+            actions: The episode's, as executed: float32 (T, A) or int64 (T, 1).
+            cameras: Those of the policy, of which the first is shown; empty for the task's.
+            times: K timesteps, 0 to T; None for all, as many as a video has.
+            recipes: What the episodes of its round required, up to its own; empty for what the world drew.
             episode_steps: Steps of an episode; 0 for the task's own.
-            max_steps: Steps after which it is cut off, `MAX_FRAMES` at most.
         """
-        if not can_film(self.context):
-            return None
-        camera = find_camera(self.task, (*policy.cameras, "")[0])
-        most = max_frames(policy.height or camera.height, policy.width or camera.width) - 1
-        request = self.session(1, 0, height=policy.height, width=policy.width, max_steps=episode_steps)
-        (episode,) = run_episodes(
-            self.sim,
-            request,
-            policy,
-            self.interrupt,
-            goals=[goal],
-            recipes=recipes,
-            cameras=[camera.name],
-            max_steps=min(max_steps, max(1, most)),
-        )
-        return episode.frames[camera.name]
+        shown = range(min(len(actions) + 1, MAX_FRAMES)) if times is None else times
+        camera = find_camera(self.task, (*cameras, "")[0])
+        env = trial % self.config.num_envs
+
+        def replayed(height: int, width: int) -> Frames:
+            request = self.session(env + 1, trial - env, height=height, width=width, max_steps=episode_steps)
+            return replay(self.sim, request, actions, self.interrupt, camera=camera.name, times=shown, recipes=recipes)
+
+        return enlarged(camera, replayed)
+
+
+def enlarged(camera: Camera, render: Callable[[int, int], Frames]) -> Frames:
+    """Returns frames of a camera as high as films are, or of its own size where its world renders none so large.
+
+    `render` returns the frames of a height and width; 0 is the camera's own.
+    """
+    try:
+        return render(HEIGHT, 2 * round(HEIGHT * camera.width / camera.height / 2))  # codecs need even sides
+    except InvalidInput:
+        return render(0, 0)
 
 
 class Evaluation(Protocol):

@@ -20,11 +20,19 @@ from freerein_orchestrator.envs.episodes import Episode, run_episodes
 from freerein_orchestrator.envs.policies import encode_raw
 from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import Flags, TruthSession, check_predicates, truth_session
-from freerein_orchestrator.kinds.evaluate.form import Figure, Form, Result, Setup, Trial, ratio_figure, share_figure
+from freerein_orchestrator.kinds.evaluate.form import (
+    FILMED,
+    Figure,
+    Form,
+    Frames,
+    Result,
+    Setup,
+    Trial,
+    ratio_figure,
+    share_figure,
+)
 from freerein_orchestrator.kinds.evaluate.policies import PolicyConfig, check_no_goal, check_policy, find_policy
-from freerein_orchestrator.kinds.policy_video import MAX_FRAMES
 
-_FILM = "film"
 AT_LANDMARK, OBJECT_MOVES = "at-landmark", "object-moves"
 _EXPLORATION, _BASELINE = 0, 1  # random streams
 _SPLITS = {"": (False, True), "object_moves.": (True,), "no_object_moves.": (False,)}
@@ -153,7 +161,7 @@ class LandmarksEvaluation:
         explored = run(random(stream=_EXPLORATION), cameras=self._cameras, max_steps=int(self._steps[-1]))
         goals = [self._goal(each) for each in explored]
         steps = self._max_steps * len(self._steps)
-        followed = run(policy, goals=goals, cameras=self._cameras[:1], max_steps=steps)
+        followed = run(policy, goals=goals, max_steps=steps)
         baseline = run(random(stream=_BASELINE), max_steps=steps)
         with truth_session(setup.sim, setup.task.name) as truth:
             at = _at_landmarks(truth, followed, self._landmark_states(explored))
@@ -171,12 +179,11 @@ class LandmarksEvaluation:
     def _trial(self, explored: Episode, followed: Episode, at: Flags, at_random: Flags, moves: Flags) -> Trial:
         """Returns the measurements of an episode, in which `moves`, bool (N,), says what landmarks need a move."""
         baseline = reached_by_truth(at_random, max_steps=self._max_steps)
-        film = followed.frames[self._cameras[0]][:MAX_FRAMES]
         values: dict[str, Any] = {"moves": moves.tolist(), "baseline": baseline.tolist()}
         if followed.goal_index is None or followed.goal_confidence is None:
             reached = reached_by_truth(at, max_steps=self._max_steps)
             values |= {"reached": reached.tolist(), "landmarks_reached": float(reached.mean())}
-            return Trial(values, {_FILM: film})
+            return Trial(values, {FILMED: followed.actions})
         pursuit = pursuit_of(at[:, :-1], followed.goal_index)
         active, ends = pursuit.is_active, np.flatnonzero(pursuit.left)
         values |= {
@@ -195,9 +202,9 @@ class LandmarksEvaluation:
             ],
             "landmarks_reached": float(pursuit.reached.mean()),
         }
-        goals, ends_seen = (each[self._cameras[0]] for each in (self._goal_frames(explored), followed.frames))
         recognized = pursuit.recognized.sum()
-        return Trial(values, {f"goals-{recognized}": goals, f"ends-{recognized}": ends_seen[ends], _FILM: film})
+        shown = {f"explored-{recognized}": explored.actions, f"followed-{recognized}": followed.actions}
+        return Trial(values, shown | {FILMED: followed.actions})
 
     def _goal(self, explored: Episode) -> Goal:
         """Returns the landmarks as goal images: for each landmark an image of every camera."""
@@ -216,7 +223,8 @@ class LandmarksEvaluation:
 
     def result(self, trials: Sequence[Trial]) -> Result:
         """Returns figures over the episodes with long enough rollouts, and a median one and the worst as pictures."""
-        values = [trial.values for trial in trials if trial.values]
+        measured = [index for index, trial in enumerate(trials) if trial.values]
+        values = [trials[index].values for index in measured]
         if not values:
             raise InvalidInput(
                 f"Random rollouts must last {self._steps[-1]} timesteps; all of them ended before.",
@@ -226,23 +234,27 @@ class LandmarksEvaluation:
         seed = self._setup.config.seed
         figures = _reached_figures(values, seed=seed)
         counts = {"episodes": len(values), "landmarks": len(values) * len(self._steps)}
-        film = next((trial.frames[_FILM] for trial in trials if _FILM in trial.frames), None)
+        film = self._setup.replay(measured[0], trials[measured[0]].shown[FILMED], self._cameras)
         if "recognized" not in values[0]:
             return Result(figures, counts, film=film)
         figures |= _recognizer_figures(values, seed=seed)
         recognized = sorted(sum(each["recognized"]) for each in values)
-        pursuits, frames = _shown(trials, recognized[len(recognized) // 2])
+        pursuits, frames = self._shown(trials, recognized[len(recognized) // 2])
         details: dict[str, Any] = {}
         if recognized[0] < recognized[len(recognized) // 2]:
-            details["worst_pursuits"], worst = _shown(trials, recognized[0])
+            details["worst_pursuits"], worst = self._shown(trials, recognized[0])
             frames |= {f"worst_{name}": each for name, each in worst.items()}
         return Result(figures, counts, details, pictures=pursuits, frames=frames, film=film)
 
-
-def _shown(trials: Sequence[Trial], recognized: int) -> tuple[list[dict[str, Any]], dict[str, npt.NDArray[np.uint8]]]:
-    """Returns the pursuits, goal images and last frames of the first robot that recognized so many landmarks."""
-    shown = next(trial for trial in trials if f"goals-{recognized}" in trial.frames)
-    return shown.values["pursuits"], {name: shown.frames[f"{name}-{recognized}"] for name in ("goals", "ends")}
+    def _shown(self, trials: Sequence[Trial], recognized: int) -> tuple[list[dict[str, Any]], dict[str, Frames]]:
+        """Returns the pursuits, goal images and last frames of the first robot that recognized so many landmarks."""
+        key = f"followed-{recognized}"
+        index = next(index for index, trial in enumerate(trials) if key in trial.shown)
+        shown, pursuits = trials[index].shown, trials[index].values["pursuits"]
+        replayed = partial(self._setup.replay, index, cameras=self._cameras)
+        goals = replayed(shown[f"explored-{recognized}"], times=self._steps.tolist())
+        ends = replayed(shown[key], times=[each["step"] for each in pursuits])
+        return pursuits, {"goals": goals, "ends": ends}
 
 
 def _at_landmarks(

@@ -19,7 +19,7 @@ from freerein.types.sim import DrawRecipesRequest, DrawRecipesResponse, Recipe
 from freerein_orchestrator.envs.episodes import Episode, run_episodes
 from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import Flags, States, TruthSession, check_predicates, truth_session
-from freerein_orchestrator.kinds.evaluate.form import Form, Frames, Result, Setup, Trial, share_figure
+from freerein_orchestrator.kinds.evaluate.form import FILMED, Form, Result, Setup, Trial, share_figure
 from freerein_orchestrator.kinds.evaluate.policies import PolicyConfig, check_no_goal, check_policy, find_policy
 
 COMPLETED, LIFTED = "completed", "lifted"
@@ -109,9 +109,10 @@ class RecipesEvaluation:
                     **own,
                     **{f"baseline_{name}": flags for name, flags in chance.items()},
                     "skills_completed": float(np.mean(own[COMPLETED])),
-                }
+                },
+                {FILMED: episode.actions},
             )
-            for recipe, own, chance in zip(recipes, outcomes, by_chance, strict=True)
+            for recipe, own, chance, episode in zip(recipes, outcomes, by_chance, episodes, strict=True)
         ]
 
     def _draw_recipes(self, first: int, count: int) -> Sequence[Recipe]:
@@ -144,15 +145,15 @@ class RecipesEvaluation:
         if figure := share_figure(whole, by_chance, seed=seed):
             figures[WHOLE] = figure
         counts = {"episodes": len(values), "skills": sum(len(each["recipe"]) for each in values)}
-        return Result(figures, counts, film=self._film())
-
-    def _film(self) -> Frames | None:
-        config, policy = self._setup.config, self._policy
-        recipe = self._draw_recipes(0, min(config.num_envs, config.episodes))[0]
-        goal = Goal(recipe=known_skills(recipe.skills, policy.skills))
-        return self._setup.film(
-            policy, goal, recipes=[recipe], episode_steps=config.episode_steps, max_steps=self._steps
+        config = self._setup.config
+        film = self._setup.replay(
+            0,
+            trials[0].shown[FILMED],
+            self._policy.cameras,
+            recipes=self._draw_recipes(0, min(config.num_envs, config.episodes))[:1],
+            episode_steps=config.episode_steps,
         )
+        return Result(figures, counts, film=film)
 
 
 def known_skills(recipe: Sequence[str], known: Collection[str]) -> tuple[str, ...]:

@@ -57,7 +57,7 @@ class TrialRecord:
         found = [Trial(values) for values in self._values]
         for index in set(self._kept.values()):
             tensors = tensor_files.parse(self._frames_path(index).read_bytes())
-            found[index].frames.update({name: tensor.numpy() for name, tensor in tensors.items()})
+            found[index].shown.update({name: tensor.numpy() for name, tensor in tensors.items()})
         return found
 
     def add(self, subject: dict[str, Any], trials: Sequence[Trial]) -> None:
@@ -65,7 +65,7 @@ class TrialRecord:
         first, kept = self.count, set(self._kept)
         names = []
         for index, trial in enumerate(trials, first):
-            new = {name: each for name, each in trial.frames.items() if name not in kept}
+            new = {name: each for name, each in trial.shown.items() if name not in kept}
             if new:
                 _write_frames(self._frames_path(index), new)
             kept |= set(new)

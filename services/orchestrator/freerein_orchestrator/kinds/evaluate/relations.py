@@ -165,8 +165,8 @@ class RelationsEvaluation:
                 truth, name = answer["truth"], str(answer["truth"])
                 if truth not in pictures:
                     texts = [each.text for each in self._groups[answer["group"]]]
-                    frames[name] = trial.frames[name]
-                    similarities = self._similarities(texts, trial.frames[name])
+                    frames[name] = trial.shown[name]
+                    similarities = self._similarities(texts, trial.shown[name])
                     pictures[truth] = {"frame": name, "texts": texts, "similarities": similarities, "truth": truth}
         return [pictures[truth] for truth in sorted(pictures)], frames
 

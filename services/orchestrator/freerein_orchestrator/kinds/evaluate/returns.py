@@ -14,7 +14,7 @@ from freerein.types.common import Goal
 from freerein_orchestrator.envs.episodes import Episode, run_episodes
 from freerein_orchestrator.envs.policies import PolicyHandle, expert_policy
 from freerein_orchestrator.envs.truth import truth_session
-from freerein_orchestrator.kinds.evaluate.form import Figure, Form, Result, Setup, Trial, mean_figure
+from freerein_orchestrator.kinds.evaluate.form import FILMED, Figure, Form, Result, Setup, Trial, mean_figure
 from freerein_orchestrator.kinds.evaluate.policies import (
     PolicyChoice,
     PolicyConfig,
@@ -102,7 +102,10 @@ class ReturnsEvaluation:
             if policy is not None:
                 for own, each in zip(values, self._episodes(policy, first, count), strict=True):
                     own[key] = float(each.rewards.sum())
-        return [Trial(each | self._expert_return(each)) for each in values]
+        return [
+            Trial(each | self._expert_return(each), {FILMED: episode.actions})
+            for each, episode in zip(values, episodes, strict=True)
+        ]
 
     def _expert_return(self, values: Mapping[str, Any]) -> dict[str, float]:
         """Returns the expert's return where the policy or the baseline is the expert, and the task has a goal."""
@@ -150,7 +153,7 @@ class ReturnsEvaluation:
             figures["expert_return_mean"] = mean_figure(lists["expert_returns"], seed=seed)
         starts = {name: [trial.values["starts"][name] for trial in trials] for name in self._starts}
         figures |= self._split_figures(trials)
-        film = self._setup.film(self._policy.handle, self._policy.goal)
+        film = self._setup.replay(0, trials[0].shown[FILMED], self._policy.handle.cameras)
         return Result(figures, {"episodes": len(trials)}, lists | ({"starts": starts} if starts else {}), film=film)
 
     def _split_figures(self, trials: Sequence[Trial]) -> dict[str, Figure]:

@@ -20,7 +20,16 @@ from freerein.types.segmentation import (
     SegmentResponse,
 )
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
-from freerein_orchestrator.kinds.evaluate.form import Form, FormConfig, Frames, Result, Setup, Trial, ratio_figure
+from freerein_orchestrator.kinds.evaluate.form import (
+    Form,
+    FormConfig,
+    Frames,
+    Result,
+    Setup,
+    Trial,
+    enlarged,
+    ratio_figure,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,15 +85,16 @@ class SegmentationEvaluation:
 
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
         """Returns trials `first` to `first + count`."""
-        trials = [self._trial(each) for each in self._demonstrations(first, count)]
+        size = {"height": self._model.height, "width": self._model.width}
+        trials = [self._trial(each) for each in self._demonstrations(first, count, **size)]
         if len(trials) < count:
             raise Unavailable(
                 "The stream of demonstrations must be whole; it ended early.", hint="The round is run again."
             )
         return trials
 
-    def _demonstrations(self, first: int, count: int) -> Iterator[DemonstrateResponse]:
-        config, model = self._setup.config, self._model
+    def _demonstrations(self, first: int, count: int, *, height: int, width: int) -> Iterator[DemonstrateResponse]:
+        config = self._setup.config
         request = DemonstrateRequest(
             config.task,
             "expert",
@@ -93,8 +103,8 @@ class SegmentationEvaluation:
             count=first + count,
             seed=config.seed,
             first=first,
-            height=model.height,
-            width=model.width,
+            height=height,
+            width=width,
             privileged=True,
             conditions=config.conditions,
         )
@@ -157,10 +167,14 @@ class SegmentationEvaluation:
         )
 
     def _frames(self, index: int) -> Frames:
-        """Returns the frames of a demonstration, uint8 (T, H, W, C), recorded again."""
-        (demonstration,) = self._demonstrations(index, 1)
-        (frames,) = demonstration.trajectory.frames.values()
-        return frames
+        """Returns the frames of a demonstration, uint8 (T, H, W, C), recorded again, as large as in films."""
+
+        def recorded(height: int, width: int) -> Frames:
+            (demonstration,) = self._demonstrations(index, 1, height=height, width=width)
+            (frames,) = demonstration.trajectory.frames.values()
+            return frames
+
+        return enlarged(self._setup.task.cameras[0], recorded)
 
 
 def _counts(values: dict[str, Any], skills: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

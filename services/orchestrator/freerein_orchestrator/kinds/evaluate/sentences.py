@@ -18,6 +18,7 @@ from freerein.types.common import Goal
 from freerein_orchestrator.envs.episodes import Episode, run_episodes
 from freerein_orchestrator.envs.policies import PolicyHandle
 from freerein_orchestrator.kinds.evaluate.form import (
+    FILMED,
     Figure,
     Form,
     Result,
@@ -95,7 +96,8 @@ class SentencesEvaluation:
             returns = np.array([[float(each.rewards.sum()) for each in texts] for texts in told])
             successes = [[each.success for each in texts] for texts in told]
             own = float(self._own_texts(returns).mean())
-            trials.append(Trial({"returns": returns.tolist(), "successes": successes, "own_text_return": own}))
+            values = {"returns": returns.tolist(), "successes": successes, "own_text_return": own}
+            trials.append(Trial(values, {FILMED: told[0][0].actions}))
         return trials
 
     def _episodes(self, task: "_Task", text: str, first: int, count: int) -> Sequence[Episode]:
@@ -131,7 +133,7 @@ class SentencesEvaluation:
         ]
         confusion = confusion_matrix(successes, tasks=[task.name for task in self._tasks], texts=self._texts)
         details = {"word_blind_text": self._texts[best], "told": told, "confusion": confusion}
-        film = self._setup.film(self._tasks[0].policy, Goal(text=self._own[0]))
+        film = self._setup.replay(0, trials[0].shown[FILMED], self._tasks[0].policy.cameras)
         return Result(figures, {"episodes": returns.size, "trials": len(trials)}, details, film=film)
 
 
