@@ -49,5 +49,10 @@ def test_a_fit_reports_tags_that_it_was_not_given_and_labels_that_it_never_sees(
     assert set(report["tag_average_precision"]) <= {"push", "turn"}
     assert any("10 or more trajectories" in each for each in report["warnings"])
     assert [set(segments["skills"]), len(segments["labels"])] == [{"push", "turn"}, 4]
+    model = fit["model"]
+    assert "must not be active" in CliRunner().invoke(app, ["models", "rm", model["name"]]).stderr
+    assert _json("models", "rm", model["name"], model["version"], "--active") == {"service": "segmentation", **model}
+    assert _json("fit", "rm", fit["id"][:8]) == {"fit": fit["id"], "deleted": True}
+    assert not list((tmp_path / "fits" / "segmentation").glob("[0-9a-f]*"))
     missing = CliRunner().invoke(app, ["fit", "report", "0" * 32, "--json"])
     assert json.loads(missing.stderr)["error"]["code"] == "not_found"

@@ -115,6 +115,8 @@ def test_watching_it_again_tells_the_same_story() -> None:
     assert _json("watch", first[0]["id"]) == first
     assert _json("watch", first[0]["id"][:8]) == first
     assert (first[0]["state"], first[-1]["state"]) == ("queued", "succeeded")
+    assert _json("rm", first[0]["id"][:8]) == [{"run": first[0]["id"], "deleted": True}]
+    assert first[0]["id"] not in [run["id"] for run in _json("list")]
 
 
 def test_the_metrics_of_a_run_are_its_whole_curve_or_a_decimated_one() -> None:

@@ -9,8 +9,7 @@ skill policies are cloned from the labelled segments, and they and the expert ex
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from freerein.atomic_files import write_atomic
@@ -145,7 +144,11 @@ def skills_kind(pipeline: Kind[Pipeline]) -> Kind[SkillsRunConfig]:
         pipeline.run(context, pipeline.parse({"steps": pipeline_steps(config, task)}))
         _write_result(context, task)
 
-    return Kind(partial(parse, SkillsRunConfig), steps=lambda config: config.steps, run=run)
+    def named(values: Mapping[str, Any]) -> SkillsRunConfig:
+        config = parse(SkillsRunConfig, values)
+        return replace(config, name=config.shared_name)
+
+    return Kind(named, steps=lambda config: config.steps, run=run)
 
 
 def _step(name: str, kind: str, **config: Any) -> dict[str, Any]:

@@ -6,15 +6,18 @@ from typing import Annotated, Any
 import typer
 
 from freerein import wire
-from freerein.cli.connection import call, call_each, check_only_unavailable
+from freerein.cli.connection import call, call_each, check_all_answer, check_only_unavailable
 from freerein.cli.output import AsJson, ago, command, print_json, show_all
 from freerein.clients import ImitationClient, ModelClient
+from freerein.errors import InvalidInput, NotFound
 from freerein.jobs import wall_clock
 from freerein.types.imitation import PublishPolicyRequest
 from freerein.types.learning import ActivateModelRequest, DeleteModelRequest, ListModelsRequest, Model
 
 _LEARNED = ("segmentation", "imitation", "reward")
 _FINGERPRINT_DIGITS = 12
+
+_Owner = Annotated[str, typer.Option(help="The service that owns the model; the one that has it when empty.")]
 
 app = typer.Typer(
     help="Models of the segmentation, imitation and reward services.",
@@ -42,11 +45,12 @@ def activate(
     name: Annotated[str, typer.Argument(help="Model name.")],
     version: Annotated[str, typer.Argument(help="Version to activate.")],
     expected_current: Annotated[str, typer.Option(help="Refuse unless this version is active now.")] = "",
-    service: Annotated[str, typer.Option(help="The service that owns the model.")] = "segmentation",
+    service: _Owner = "",
     as_json: AsJson = False,
 ) -> None:
     """Choose the version that answers requests that name none."""
     request = ActivateModelRequest(name, version, expected_current)
+    service = service or _owner(name, version)
     active = call(ModelClient, service, lambda client: client.activate_model(request)).model
     _show([(service, active)], as_json=as_json)
 
@@ -60,11 +64,12 @@ def rm(
     active: Annotated[
         bool, typer.Option("--active", help="Delete the active version, too, which answers requests that name none.")
     ] = False,
-    service: Annotated[str, typer.Option(help="The service that owns the model.")] = "segmentation",
+    service: _Owner = "",
     as_json: AsJson = False,
 ) -> None:
     """Delete a version of a model, or all; one that comes with freerein, or that a fit or run needs, stays."""
     request = DeleteModelRequest(name, version, even_active=active)
+    service = service or _owner(name, version)
     deleted = call(ModelClient, service, lambda client: client.delete_model(request)).models
     for ref in deleted:
         print_json({"service": service, **vars(ref)}) if as_json else typer.echo(f"Deleted {ref.name} {ref.version}.")
@@ -82,6 +87,27 @@ def publish(
     ref = call(ImitationClient, "imitation", lambda client: client.publish_policy(request)).model
     found = call(ModelClient, "imitation", lambda client: client.list_models(ListModelsRequest())).models
     _show([("imitation", model) for model in found if model.ref == ref], as_json=as_json)
+
+
+def _owner(name: str, version: str) -> str:
+    """Returns the one service that has a model; an empty version is any."""
+    answers, errors = call_each(ModelClient, _LEARNED, lambda client: client.list_models(ListModelsRequest()))
+    wanted = (name, version) if version else (name,)
+    owners = [
+        service
+        for service, answer in answers.items()
+        if any((each.ref.name, each.ref.version)[: len(wanted)] == wanted for each in answer.models)
+    ]
+    if not owners:
+        check_all_answer(errors)
+        raise NotFound("There is no model of that name and version.", field="name", hint="See `freerein models list`.")
+    if len(owners) > 1:
+        raise InvalidInput(
+            f"The service must be named where several have such a model; {', '.join(owners)} do.",
+            field="service",
+            hint=f"Write --service {owners[0]}.",
+        )
+    return owners[0]
 
 
 def _show(models: Sequence[tuple[str, Model]], *, as_json: bool) -> None:
