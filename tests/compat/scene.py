@@ -13,6 +13,9 @@ STATE_NAMES = ("shoulder", "elbow")
 SKILLS = (("pick",), ("pick", "place"), ())
 LENGTHS = (5, 7, 4)
 CHOICES = 3
+SKILL_NAMES = ("pick", "place")
+LABELS = ((-1, 0, 0, 1, 1), (1, 0, 0, -1, -1, 1, 1), (0, 0, 0, 0))
+"""The skill of each timestep, by index; -1 for none."""
 
 
 def frames(index: int, camera: str) -> np.ndarray:
