@@ -112,7 +112,10 @@ def test_a_lerobot_dataset_becomes_endpoints_and_its_robot_follows(
     exec(scale, {})
     printed = shell(policy)
 
+    exported = pq.read_table(tmp_path / "recorded/data/chunk-000/file-000.parquet")["language_persistent"]
     root = tmp_path / "var/datasets/arm"
+    first = labels.labels(root, 0)[0]
+    assert (exported[0][0]["style"].as_py(), exported[0][0]["content"].as_py()) == ("subtask", SKILLS[first])
     assert labels.info(root).skills == SKILLS
     assert list(map(len, labels.all_labels(root, Dataset(root).lengths))) == [STEPS * len(order) for order in orders]
     np.testing.assert_array_equal(Dataset(root).robot_state(3), Dataset(root).actions(3))  # as recorded above
