@@ -208,7 +208,7 @@ async def main(task: str, seed: int, goals: list[Path], sim_address: str, imitat
         controller = Controller(robot, policy, goal, max_steps_per_goal=_MAX_STEPS_PER_GOAL)
         await controller.run()
         if controller.last is not None:
-            _log.info("reached" if controller.last.goal_reached else "abandoned")
+            _log.info("reached" if controller.last.done_by == "policy" else "abandoned")
 
 
 if __name__ == "__main__":

@@ -46,7 +46,7 @@ class Robot(environment.Environment):
     def apply_action(self, action):
         """Executes one action."""
         self.actions.append(np.asarray(action["actions"]).tolist())
-        self._is_over = bool(action["goal_reached"])
+        self._is_over = action["done"] == "yes"
         self._steps += 1
 
 

@@ -75,7 +75,15 @@ async def test_a_runtime_with_chunks_gets_the_actions_of_act_in_every_episode(
         for reply in episode:
             request = ActRequest(Observation((picture(reply["brightness"]),)), Goal((picture(GOAL),)), executed, state)
             expected = await client.act(request)
-            fields = ("goal_reached", "goal_confidence", "goal_index", "goal_abandoned", "in_distribution")
+            fields = (
+                "done",
+                "done_by",
+                "goal_reached",
+                "goal_confidence",
+                "goal_index",
+                "goal_abandoned",
+                "in_distribution",
+            )
             assert [reply[name] for name in fields] == [getattr(expected, name) for name in fields]
             np.testing.assert_allclose(reply["actions"], expected.actions if len(expected.actions) else HOLD, atol=1e-6)
             state, executed = expected.state, expected.actions

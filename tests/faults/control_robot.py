@@ -126,4 +126,5 @@ class Oracle:
         np.testing.assert_allclose(reply.chunk.actions, expected.actions, rtol=0, atol=1e-5)
         assert reply.chunk.goal_index == expected.state.goal_index
         assert reply.chunk.goal_reached == expected.reached
+        assert (reply.chunk.done, reply.chunk.done_by) == (expected.done, expected.done_by)
         assert reply.chunk.in_distribution == expected.in_distribution

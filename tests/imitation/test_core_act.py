@@ -38,6 +38,7 @@ async def test_calls_chained_by_their_states_are_one_history(core: Any, robots: 
         assert reply.in_distribution == expected.in_distribution == pytest.approx(1 / (1 + brightness))
         state, did = reply.state, reply.actions[0] if len(reply.actions) else None
         indices.append((reply.goal_index, reply.goal_reached, len(reply.actions)))
+        assert (reply.done, reply.done_by) == (("yes", "policy") if reply.goal_reached else ("no", None))
     assert indices == [(0, False, 3), (1, False, 3), (1, False, 3), (2, True, 0), (2, True, 0)]
 
 
@@ -173,6 +174,7 @@ async def test_a_request_may_give_its_goals_less_time(core: Any, robots: Any) ->
     first = await core.act.act(robots.asked(1, 3, max_steps_per_goal=1))
     second = await core.act.act(robots.asked(1, 3, max_steps_per_goal=1, state=first.state))
     assert (second.goal_index, second.goal_abandoned, second.goal_reached, len(second.actions)) == (1, True, False, 0)
+    assert (second.done, second.done_by) == ("yes", "step_limit")
 
 
 @pytest.mark.fault("I14")

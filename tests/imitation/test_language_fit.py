@@ -96,6 +96,7 @@ async def test_act_does_what_the_sentence_says_and_never_says_that_it_is_done(ac
         assert reply.actions.shape == (1, 1)
         assert reply.actions[0, 0] * direction > 0.5
         assert (reply.goal_reached, reply.goal_confidence, reply.goal_index) == (None, 0.0, 0)
+        assert (reply.done, reply.done_by) == ("unknown", None)
 
 
 @pytest.mark.parametrize(
@@ -131,6 +132,7 @@ async def test_a_sentence_that_takes_too_long_is_given_up(act: ActService) -> No
         reply = await act.act(asked(TEXTS[0], state=state, executed_actions=done, max_steps_per_goal=3))
         state = reply.state
     assert (reply.goal_abandoned, reply.goal_reached, reply.goal_index, len(reply.actions)) == (True, None, 1, 0)
+    assert (reply.done, reply.done_by) == ("yes", "step_limit")
 
 
 async def test_a_state_is_of_one_sentence(act: ActService) -> None:

@@ -9,6 +9,8 @@ from freerein.types.common import ActionSpec, Camera, Draining, Error, Goal, Mod
 
 GoalForm = Literal["images", "recipe", "text"]
 Resize = Literal["fit", "crop"]
+Done = Literal["no", "yes", "unknown"]
+DoneBy = Literal["policy", "step_limit"]
 
 
 @dataclass(frozen=True)
@@ -86,10 +88,15 @@ class ActResponse:
             `freerein.learning.in_distribution`.
         state: The policy state, for the next call. Opaque; at most 64 KiB.
         goal_reached: Whether every goal was reached. None where the policy does not predict it: language policies.
+        done: Whether all goals are over, so that K = 0; `unknown` where the policy does not see whether its goal is
+            reached.
+        done_by: Who says so: `policy`, which saw every goal reached, or `step_limit`, after which a goal was abandoned;
+            None unless `done` is `yes`.
         resized: Whether an image of the observation or of the goal was resized.
     """
 
     actions: npt.NDArray[Any]
+    done: Done
     goal_confidence: float
     goal_index: int
     goal_abandoned: bool
@@ -98,6 +105,7 @@ class ActResponse:
     model: ModelRef
     timing: Timing
     goal_reached: bool | None = None
+    done_by: DoneBy | None = None
     resized: bool = False
 
 
@@ -181,6 +189,7 @@ class Chunk:
     """
 
     actions: npt.NDArray[Any]
+    done: Done
     goal_confidence: float
     goal_index: int
     goal_abandoned: bool
@@ -191,6 +200,7 @@ class Chunk:
     dropped: int
     timing: Timing
     goal_reached: bool | None = None
+    done_by: DoneBy | None = None
     resized: bool = False
 
 

@@ -58,6 +58,8 @@ class ActService:
         )
         return ActResponse(
             actions=result.actions,
+            done=result.done,
+            done_by=result.done_by,
             goal_reached=result.reached,
             goal_confidence=result.confidence,
             goal_index=result.state.goal_index,

@@ -106,6 +106,8 @@ class _ControlSession:
             return _error(observed.seq, error)
         chunk = Chunk(
             actions=result.actions,
+            done=result.done,
+            done_by=result.done_by,
             goal_reached=result.reached,
             goal_confidence=result.confidence,
             goal_index=result.state.goal_index,

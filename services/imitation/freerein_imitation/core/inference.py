@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import OutputNotFinite, ServiceError
+from freerein.types.imitation import Done, DoneBy
 from freerein_imitation.core.inputs import Subgoal
 from freerein_imitation.core.policy_state import PolicyState
 from freerein_imitation.model.policy import (
@@ -79,6 +80,20 @@ class InferenceResult:
     confidence: float
     in_distribution: float
     state: PolicyState
+
+    @property
+    def done(self) -> Done:
+        """Whether all goals are over."""
+        if not len(self.actions):
+            return "yes"
+        return "unknown" if self.reached is None else "no"
+
+    @property
+    def done_by(self) -> DoneBy | None:
+        """Who says that all goals are over; None while they are not."""
+        if len(self.actions):
+            return None
+        return "step_limit" if self.state.abandoned else "policy"
 
 
 class _Row(NamedTuple):

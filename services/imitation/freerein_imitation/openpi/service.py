@@ -130,6 +130,8 @@ class OpenpiConnection:
         return pack(
             {
                 "actions": result.actions if len(result.actions) else self._hold(),
+                "done": result.done,
+                "done_by": result.done_by,
                 "goal_reached": result.reached,
                 "goal_confidence": result.confidence,
                 "goal_index": result.state.goal_index,

@@ -9,7 +9,8 @@ import typer
 from freerein import wire
 from freerein.cli.commands.image_files import FILES, read_images
 from freerein.cli.connection import call
-from freerein.cli.output import AsJson, command, print_json, show_table
+from freerein.cli.output import AsJson, command, print_json
+from freerein.cli.tables import show_table
 from freerein.clients import ImitationClient
 from freerein.errors import InvalidInput
 from freerein.types.common import Goal, ModelRef, Observation
@@ -92,7 +93,10 @@ def _numbers(text: str) -> npt.NDArray[np.float32]:
 def _show_answer(answer: ActResponse) -> None:
     rows = [(str(step), ", ".join(f"{number:.4g}" for number in action)) for step, action in enumerate(answer.actions)]
     show_table(("step", "action"), rows)
-    reached = "reached" if answer.goal_reached else f"pursuing goal {answer.goal_index}"
+    if answer.done == "yes":
+        reached = "done: reached" if answer.done_by == "policy" else "done: the step limit ended it"
+    else:
+        reached = f"pursuing goal {answer.goal_index}"
     abandoned = ", one abandoned" if answer.goal_abandoned else ""
     is_unknown = answer.goal_reached is None
     confidence = "the model does not recognize goals" if is_unknown else f"confidence {answer.goal_confidence:.2f}"
@@ -114,7 +118,7 @@ def _show_spec(answer: GetSpecResponse) -> None:
         ("reached threshold", "" if answer.goal_form == "text" else f"{answer.reached_threshold:.2f}"),
         ("model", _name(answer.model)),
     ]
-    show_table(("", ""), [row for row in rows if row[1]])
+    show_table(("", ""), [row for row in rows if row[1]], last="wrapped")
 
 
 def _name(model: ModelRef) -> str:

@@ -72,6 +72,58 @@ RESIZE_CROP: Resize.ValueType  # 2
 """The middle of the image, without what is too wide or too high."""
 Global___Resize: _TypeAlias = Resize  # noqa: Y015
 
+class _Done:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _DoneEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_Done.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    DONE_UNSPECIFIED: _Done.ValueType  # 0
+    """Invalid."""
+    DONE_NO: _Done.ValueType  # 1
+    """They are not."""
+    DONE_YES: _Done.ValueType  # 2
+    """They are."""
+    DONE_UNKNOWN: _Done.ValueType  # 3
+    """The policy does not see whether its goal is reached; look, or ask the reward service."""
+
+class Done(_Done, metaclass=_DoneEnumTypeWrapper):
+    """Whether all goals are over: nothing is left to do, and the robot holds."""
+
+DONE_UNSPECIFIED: Done.ValueType  # 0
+"""Invalid."""
+DONE_NO: Done.ValueType  # 1
+"""They are not."""
+DONE_YES: Done.ValueType  # 2
+"""They are."""
+DONE_UNKNOWN: Done.ValueType  # 3
+"""The policy does not see whether its goal is reached; look, or ask the reward service."""
+Global___Done: _TypeAlias = Done  # noqa: Y015
+
+class _DoneBy:
+    ValueType = _typing.NewType("ValueType", _builtins.int)
+    V: _TypeAlias = ValueType  # noqa: Y015
+
+class _DoneByEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[_DoneBy.ValueType], _builtins.type):
+    DESCRIPTOR: _descriptor.EnumDescriptor
+    DONE_BY_UNSPECIFIED: _DoneBy.ValueType  # 0
+    """Nobody does."""
+    DONE_BY_POLICY: _DoneBy.ValueType  # 1
+    """The policy: it saw every goal reached."""
+    DONE_BY_STEP_LIMIT: _DoneBy.ValueType  # 2
+    """The limit of control steps: a goal at least was abandoned."""
+
+class DoneBy(_DoneBy, metaclass=_DoneByEnumTypeWrapper):
+    """Who says that all goals are over."""
+
+DONE_BY_UNSPECIFIED: DoneBy.ValueType  # 0
+"""Nobody does."""
+DONE_BY_POLICY: DoneBy.ValueType  # 1
+"""The policy: it saw every goal reached."""
+DONE_BY_STEP_LIMIT: DoneBy.ValueType  # 2
+"""The limit of control steps: a goal at least was abandoned."""
+Global___DoneBy: _TypeAlias = DoneBy  # noqa: Y015
+
 @_typing.final
 class GetSpecRequest(_message.Message):
     """Request for a model's spec."""
@@ -246,6 +298,8 @@ class ActResponse(_message.Message):
     TIMING_FIELD_NUMBER: _builtins.int
     IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
     RESIZED_FIELD_NUMBER: _builtins.int
+    DONE_FIELD_NUMBER: _builtins.int
+    DONE_BY_FIELD_NUMBER: _builtins.int
     goal_reached: _builtins.bool
     """Whether every goal was reached. Unset where the policy does not predict it: language policies."""
     goal_confidence: _builtins.float
@@ -262,6 +316,10 @@ class ActResponse(_message.Message):
     """
     resized: _builtins.bool
     """Whether an image of the observation or of the goal was resized."""
+    done: Global___Done.ValueType
+    """Whether all goals are over, so that K = 0."""
+    done_by: Global___DoneBy.ValueType
+    """Who says so; unset unless `done` is yes."""
     @_builtins.property
     def actions(self) -> _common_pb2.Tensor:
         """FP32 (K, A) in [-1, 1] or INT64 (K, 1); K = 0 when all goals are over: hold."""
@@ -287,13 +345,20 @@ class ActResponse(_message.Message):
         timing: _common_pb2.Timing | None = ...,
         in_distribution: _builtins.float = ...,
         resized: _builtins.bool = ...,
+        done: Global___Done.ValueType = ...,
+        done_by: Global___DoneBy.ValueType | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_reached", b"goal_reached", "model", b"model", "timing", b"timing"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done_by", b"done_by", "goal_reached", b"goal_reached", "model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "model", b"model", "resized", b"resized", "state", b"state", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done", b"done", "done_by", b"done_by", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "model", b"model", "resized", b"resized", "state", b"state", "timing", b"timing"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__done_by: _TypeAlias = _typing.Literal["done_by"]  # noqa: Y015
+    _WhichOneofArgType__done_by: _TypeAlias = _typing.Literal["_done_by", b"_done_by"]  # noqa: Y015
     _WhichOneofReturnType__goal_reached: _TypeAlias = _typing.Literal["goal_reached"]  # noqa: Y015
     _WhichOneofArgType__goal_reached: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__done_by) -> _WhichOneofReturnType__done_by | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__goal_reached) -> _WhichOneofReturnType__goal_reached | None: ...
 
 Global___ActResponse: _TypeAlias = ActResponse  # noqa: Y015
@@ -544,6 +609,8 @@ class Chunk(_message.Message):
     TIMING_FIELD_NUMBER: _builtins.int
     IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
     RESIZED_FIELD_NUMBER: _builtins.int
+    DONE_FIELD_NUMBER: _builtins.int
+    DONE_BY_FIELD_NUMBER: _builtins.int
     goal_reached: _builtins.bool
     """As in ActResponse."""
     goal_confidence: _builtins.float
@@ -563,6 +630,10 @@ class Chunk(_message.Message):
     in_distribution: _builtins.float
     """As in ActResponse."""
     resized: _builtins.bool
+    """As in ActResponse."""
+    done: Global___Done.ValueType
+    """As in ActResponse."""
+    done_by: Global___DoneBy.ValueType
     """As in ActResponse."""
     @_builtins.property
     def actions(self) -> _common_pb2.Tensor:
@@ -587,13 +658,20 @@ class Chunk(_message.Message):
         timing: _common_pb2.Timing | None = ...,
         in_distribution: _builtins.float = ...,
         resized: _builtins.bool = ...,
+        done: Global___Done.ValueType = ...,
+        done_by: Global___DoneBy.ValueType | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "goal_reached", b"goal_reached", "timing", b"timing"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done_by", b"done_by", "goal_reached", b"goal_reached", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached", "actions", b"actions", "dropped", b"dropped", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "observation_time_ns", b"observation_time_ns", "resized", b"resized", "state", b"state", "timing", b"timing", "valid_until_ns", b"valid_until_ns"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done", b"done", "done_by", b"done_by", "dropped", b"dropped", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "observation_time_ns", b"observation_time_ns", "resized", b"resized", "state", b"state", "timing", b"timing", "valid_until_ns", b"valid_until_ns"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__done_by: _TypeAlias = _typing.Literal["done_by"]  # noqa: Y015
+    _WhichOneofArgType__done_by: _TypeAlias = _typing.Literal["_done_by", b"_done_by"]  # noqa: Y015
     _WhichOneofReturnType__goal_reached: _TypeAlias = _typing.Literal["goal_reached"]  # noqa: Y015
     _WhichOneofArgType__goal_reached: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__done_by) -> _WhichOneofReturnType__done_by | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__goal_reached) -> _WhichOneofReturnType__goal_reached | None: ...
 
 Global___Chunk: _TypeAlias = Chunk  # noqa: Y015
