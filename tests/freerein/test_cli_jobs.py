@@ -20,7 +20,7 @@ from freerein.cli.jobs.options import configuration
 from freerein.cli.jobs.progress import JobProgress, by_relevance
 from freerein.cli.jobs.streams import reconnecting
 from freerein.cli.jobs.terminal_plot import plot
-from freerein.cli.output import ago
+from freerein.cli.times import ago, duration
 from freerein.errors import InvalidInput, Unavailable
 from freerein.types.common import ModelRef
 from freerein.types.jobs import MetricRow
@@ -87,7 +87,7 @@ def test_the_picture_shows_how_it_stands_and_a_curve_for_each_metric() -> None:
     console.print(draw("run 1234", _progress(4, 5, 6), width=60))
     lines = [line.split() for line in console.file.getvalue().splitlines()]
 
-    assert [*lines[0][:3], *lines[0][-3:]] == ["run", "1234", "running", "6/10", "0:08", "left"]
+    assert [*lines[0][:3], *lines[0][-4:]] == ["run", "1234", "running", "6/10", "8", "s", "left"]
     assert lines[1] == ["episode_return", "⠀⠀⠀⠀⠀⣀⡠⠔⠒⠉", "6"]
     assert lines[2] == ["⣀⠤⠔⠊⠉⠀⠀⠀⠀⠀", "4", "to", "6"]
     assert [line[0] for line in lines[3:] if line] == ["entropy", "⠉⠉⠉⠉⠉⠉⠉⠉⠉⠉"]
@@ -130,6 +130,22 @@ async def test_a_service_that_stays_away_is_given_up() -> None:
 )
 def test_a_time_is_said_as_how_long_ago_it_was(seconds: float, text: str) -> None:
     assert ago(10**18, now_ns=10**18 + int(seconds * 1e9)) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.9, "0 s"),
+        (59, "59 s"),
+        (61, "1 min 1 s"),
+        (3600, "1 h"),
+        (6620, "1 h 50 min"),
+        (90_000, "1 day 1 h"),
+        (1e6, "11 days 13 h"),
+    ],
+)
+def test_a_duration_is_said_in_its_two_largest_units(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
 
 
 def test_nothing_is_said_of_a_time_that_is_unknown() -> None:

@@ -102,11 +102,12 @@ def test_a_run_is_watched_line_by_line_to_its_end(orchestrator: Orchestrator) ->
     assert lines[0].endswith(f" run {run_id[:8]} queued 0/3")
     assert f" run {run_id[:8]} succeeded 3/3 timesteps=" in lines[-3]
     _, name, state, *since, steps, _ = lines[-1].split()
-    assert (name, state, since[-1], steps) == ("collect-few", "succeeded", "ago", "3/3")
+    assert (name, state, since[-1], steps, len(run_id)) == ("collect-few", "succeeded", "ago", "3", 8)
     assert "freerein fit segmentation few" in watched.stderr
     link = f"{name}-{run_id[:6]}"
+    assert " ago" in _run("artifacts", run_id).stdout
     assert (orchestrator.service.data_dir / "named" / link / "config.json").is_file()
-    assert _json("watch", link)[-1]["id"] == run_id
+    assert _json("watch", link)[-1]["id"].startswith(run_id)
 
 
 def test_watching_it_again_tells_the_same_story() -> None:
@@ -195,7 +196,7 @@ def test_ctrl_c_leaves_the_run_going_and_says_how_to_come_back() -> None:
         again = child.stderr.read().split("`")[1]
 
     *command, run_id = again.split()
-    (left,) = [run for run in _json("list") if run["id"] == run_id]
+    (left,) = [run for run in _json("list") if run["id"].startswith(run_id)]
     _json("cancel", run_id)
     assert (command, left["state"]) == (["freerein", "runs", "watch"], "running")
 

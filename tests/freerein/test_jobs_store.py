@@ -302,7 +302,7 @@ def test_lines_of_many_reads_are_passed_over_but_for_the_last(tmp_path, count, s
         ("collect", {"task": "grid", "dataset": "mine.v2"}, "collect-mine-v2"),
         ("distill", {"dataset": "", "model_name": "words"}, "distill-words"),
         ("pipeline", {"steps": []}, "pipeline"),
-        ("segmentation", {"dataset": "x" * 64, "model_name": "default"}, f"segmentation-{'x' * 48}"),
+        ("segmentation", {"dataset": "x" * 64, "model_name": "default"}, f"segmentation-{'x' * 64}"),
     ],
 )
 def test_a_job_has_a_readable_name(kind: str, config: dict[str, Any], name: str) -> None:

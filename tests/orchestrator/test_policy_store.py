@@ -63,6 +63,20 @@ def test_a_run_that_has_made_no_policy_is_refused_with_the_field_that_names_it(
     assert error.value.hint
 
 
+@pytest.mark.parametrize("name", ["8bc1f7", "8bc1f7" + "0" * 25, "ppo-yellow-left-of-green-8bc1f7"])
+def test_a_run_is_found_by_the_first_digits_of_its_id_and_by_its_readable_name(
+    run: RunContext, tmp_path: Path, name: str
+) -> None:
+    folder = tmp_path / "runs" / ("8bc1f7" + "0" * 26)
+    make_policy(folder / "artifacts", 0)
+    (folder / "config.json").write_text("{}")
+    assert run.policies.folder(name, field=FIELD) == folder / "artifacts"
+    (tmp_path / "runs" / ("8bc1f7" + "0" * 25 + "1")).mkdir()
+    (tmp_path / "runs" / ("8bc1f7" + "0" * 25 + "1") / "config.json").write_text("{}")
+    with pytest.raises(InvalidInput):  # two runs begin so
+        run.policies.folder(name, field=FIELD)
+
+
 def test_a_pinned_name_keeps_the_version_that_was_active(run: RunContext, tmp_path: Path) -> None:
     first = activate_version(tmp_path, 0)
     run.policies.pin(["teacher"])

@@ -1,10 +1,12 @@
 """`freerein`: the command line."""
 
 from importlib import import_module
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
+
+from freerein import __version__
 
 COMMANDS = {
     "up": "Run the services until Ctrl-C; restart them when they crash.",
@@ -33,6 +35,12 @@ class _LazyGroup(TyperGroup):
         return name, typer.main.get_command(import_module(f"{package}.{name}").app), rest
 
 
+def _say_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"freerein {__version__}")
+        raise typer.Exit
+
+
 app = typer.Typer(
     cls=_LazyGroup,
     help="Serve learned robot skills. `freerein demo` shows everything; `freerein doctor` checks the machine.",
@@ -40,6 +48,16 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+
+
+@app.callback()
+def _options(
+    version: Annotated[  # its callback answers
+        bool, typer.Option("--version", help="Show the version and exit.", callback=_say_version, is_eager=True)
+    ] = False,
+) -> None: ...
+
+
 for _name, _help in COMMANDS.items():
     app.command(_name, help=_help)(lambda: None)
 

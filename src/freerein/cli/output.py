@@ -1,24 +1,21 @@
-"""Output of commands: tables and progress bars, or JSON lines; errors on stderr with exit code 1."""
+"""Output of commands: progress bars, or JSON lines; errors on stderr with exit code 1."""
 
 import functools
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Annotated, ParamSpec
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
+from freerein.cli.times import duration
 from freerein.errors import FailedPrecondition, ServiceError, Unavailable
 
 P = ParamSpec("P")
-
-_UNLIMITED_WIDTH = 1000
-
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, one document per line.")]
 
@@ -63,18 +60,6 @@ def print_error(error: ServiceError, *, as_json: bool) -> None:
         console.print(Text.assemble(("hint:  ", "bold"), hint), soft_wrap=True)
 
 
-def show_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Prints a table: wrapped on a terminal, one line per row elsewhere."""
-    table = Table(*columns, box=None, header_style="bold", pad_edge=False)
-    for column in table.columns:
-        column.overflow = "fold"
-    table.columns[0].no_wrap = True
-    for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
-    console = Console(width=None if sys.stdout.isatty() else _UNLIMITED_WIDTH)
-    console.print(table)
-
-
 def delete_each(names: Sequence[str], delete: Callable[[str], object], *, noun: str, as_json: bool) -> None:
     """Deletes one thing after another, and says so of each; the first that is refused ends it."""
     for name in names:
@@ -82,31 +67,18 @@ def delete_each(names: Sequence[str], delete: Callable[[str], object], *, noun: 
         print_json({noun: name, "deleted": True}) if as_json else typer.echo(f"Deleted {noun} {name}.")
 
 
-def ago(time_ns: int, *, now_ns: int) -> str:
-    """Returns how long ago a Unix time in nanoseconds was, such as `3 min ago`; empty for 0, an unknown time."""
-    seconds = max(0, now_ns - time_ns) // 10**9
-    sizes = ((86_400, "day"), (3600, "h"), (60, "min"), (1, "s"))
-    size, unit = next((each for each in sizes if seconds >= each[0]), sizes[-1])
-    count = seconds // size
-    return f"{count} {unit}{'s' if unit == 'day' and count > 1 else ''} ago" if time_ns else ""
-
-
-def show_all(
-    columns: Sequence[str], rows: Iterable[Sequence[str]], documents: Iterable[Mapping[str, object]], *, as_json: bool
-) -> None:
-    """Prints a table, or the JSON document of each row."""
-    if as_json:
-        for document in documents:
-            print_json(document)
-    else:
-        show_table(columns, rows)
-
-
 @contextmanager
 def progress_bar(name: str, *, total: int, is_shown: bool) -> Iterator[Callable[[int], None]]:
     """Yields a function that moves a progress bar on stderr; the bar is hidden where stderr is no terminal."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _TimeLeft())
     console = Console(stderr=True)
     with Progress(*columns, console=console, disable=not (is_shown and console.is_terminal)) as progress:
         bar = progress.add_task(name, total=total)
         yield lambda done: progress.update(bar, completed=done)
+
+
+class _TimeLeft(ProgressColumn):
+    """The time that a task still takes."""
+
+    def render(self, task: Task) -> Text:
+        return Text("" if task.time_remaining is None else f"{duration(task.time_remaining)} left")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 LINKS = "named"
-_MAX_SUBJECT, _DIGITS = 48, 6
+_MAX_SUBJECT, _DIGITS = 64, 6
 
 
 def job_name(kind: str, config: Mapping[str, Any]) -> str:

@@ -280,7 +280,8 @@ class JobStore:
         self.check(job_id)
         files = sorted((self.folder(job_id) / "artifacts").glob("[!.]*"))
         with self._deleted_is_not_found():
-            return tuple(Artifact(path.name, path.stat().st_size) for path in files if path.is_file())
+            found = [(path.name, path.stat()) for path in files if path.is_file()]
+            return tuple(Artifact(name, stat.st_size, stat.st_mtime_ns) for name, stat in found)
 
     def artifact(self, job_id: str, name: str) -> Path:
         """Returns the path of an artifact. Raises NotFound when there is no such job or artifact."""

@@ -115,10 +115,11 @@ class DeleteRunResponse:
 
 @dataclass(frozen=True)
 class Artifact:
-    """A file that a run has written; `size` in bytes."""
+    """A file that a run has written; `size` in bytes, `time_ns` the Unix time in nanoseconds of its last change."""
 
     name: str
     size: int
+    time_ns: int = 0
 
 
 class ListArtifactsRequest(JobRequest):

@@ -13,6 +13,7 @@ from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef, check_name
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")
+_FIRST_DIGITS = re.compile(r"[0-9a-f]{6,31}")
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,8 @@ class PolicyStore:
     def run_folder(self, name: str, *, field: str) -> Path:
         """Returns the folder of a run, by its id, or of an earlier step of the same pipeline, by its name.
 
+        The first digits of the id, six or more, will do, or a readable name, which ends with them.
+
         Raises:
             InvalidInput: There is neither.
         """
@@ -100,6 +103,10 @@ class PolicyStore:
         for parent in (self.siblings, self.runs):
             if parent is not None and (parent / name).is_dir():
                 return parent / name
+        digits = name.rpartition("-")[2]
+        found = list(self.runs.glob(f"{digits}*/config.json")) if _FIRST_DIGITS.fullmatch(digits) else []
+        if len(found) == 1:
+            return found[0].parent
         raise InvalidInput(
             "A run to build on must exist, or be an earlier step of the pipeline; there is none of that name.",
             field=field,

@@ -8,9 +8,11 @@ from typing import Annotated, Literal
 import typer
 
 from freerein import data
-from freerein.cli.output import AsJson, ago, command, delete_each, print_json, progress_bar, show_table
+from freerein.cli.output import AsJson, command, delete_each, print_json, progress_bar
 from freerein.cli.segments.export import export_labels_to
 from freerein.cli.settings import CliSettings
+from freerein.cli.tables import show_table
+from freerein.cli.times import ago
 from freerein.data import (
     Dataset,
     DatasetSummary,
@@ -167,7 +169,7 @@ def inspect(name: _Name, as_json: AsJson = False) -> None:
     if as_json:
         print_json({"dataset": name, **asdict(summary)})
     else:
-        show_table(("", ""), _rows(name, summary))
+        show_table(("", ""), _rows(name, summary), last="wrapped")
 
 
 @app.command()
@@ -310,8 +312,8 @@ def _report(name: str, root: Path, examine: Callable[[Path], list[Problem]], *, 
     if as_json:
         print_json({"dataset": name, "problems": [asdict(problem) for problem in problems]})
     elif problems:
-        rows = [(each.severity, each.where, each.sentence, each.hint) for each in problems]
-        show_table(("", "where", "problem", "fix"), rows)
+        rows = [(each.severity, each.where, f"{each.sentence} {each.hint}".rstrip()) for each in problems]
+        show_table(("", "where", "problem and fix"), rows, last="wrapped")
     if not as_json and not errors:
         typer.echo(f"The dataset {name} {verdict}{', with warnings' if problems else ''}.")
     if errors:

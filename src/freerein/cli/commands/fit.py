@@ -20,12 +20,14 @@ from freerein.cli.commands.dataset import (
 from freerein.cli.connection import call, call_each, check_all_answer, check_only_unavailable
 from freerein.cli.jobs import display, fit_report
 from freerein.cli.jobs.display import check_succeeded
-from freerein.cli.jobs.ids import is_whole_id, whole_id
+from freerein.cli.jobs.ids import is_whole_id, short, whole_id
 from freerein.cli.jobs.next_steps import after_fit, say_next_steps
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_fit
-from freerein.cli.output import AsJson, ago, command, delete_each, print_json, show_all, show_table
+from freerein.cli.output import AsJson, command, delete_each, print_json
+from freerein.cli.tables import show_all, show_table
+from freerein.cli.times import ago
 from freerein.clients import FitClient, ModelClient, SegmentationClient
 from freerein.data import ImageSource
 from freerein.data.lookup import unseen_cameras
@@ -192,7 +194,7 @@ def report(fit: _Id, as_json: AsJson = False) -> None:
 
 def _report(fit_id: str, *, as_json: bool) -> None:
     fit = call(FitClient, "segmentation", lambda client: client.get_fit(GetFitRequest(fit_id))).fit
-    check_succeeded(f"fit {fit_id[:8]}", fit)
+    check_succeeded(f"fit {short(fit_id)}", fit)
     card = _card("segmentation", fit)
     root = dataset_root(fit.dataset)
     items = fit_report.labelled_trajectories(root)
@@ -323,8 +325,8 @@ def _watch(service: str, fit_id: str, *, as_json: bool) -> None:
         service,
         lambda client: follow_fit(client, fit_id),
         lambda client: _rows(client, GetFitMetricsRequest(fit_id)),
-        name=f"fit {fit_id[:8]}",
-        command=f"freerein fit watch {fit_id}",
+        name=f"fit {short(fit_id)}",
+        command=f"freerein fit watch {short(fit_id)}",
         as_json=as_json,
     )
     if not as_json:
@@ -342,16 +344,16 @@ def _show(fits: Sequence[tuple[str, Fit]], *, as_json: bool) -> None:
     now_ns = wall_clock.now_ns()
     rows = (
         (
-            fit.id,
+            short(fit.id),
             service,
+            fit.dataset,
             fit.state,
             ago(fit.time_ns, now_ns=now_ns),
-            fit.dataset,
+            str(fit.step) if fit.state == "succeeded" else steps_text(fit),
             f"{fit.model.name} {fit.model.version}" if fit.model else fit.model_name,
-            steps_text(fit),
             fit.error or metrics_text(fit),
         )
         for service, fit in fits
     )
-    columns = ("fit", "service", "state", "changed", "dataset", "model", "steps", "metrics")
-    show_all(columns, rows, documents, as_json=as_json)
+    columns = ("fit", "service", "dataset", "state", "changed", "steps", "model", "metrics")
+    show_all(columns, rows, documents, as_json=as_json, last="cut")

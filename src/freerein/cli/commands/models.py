@@ -6,8 +6,11 @@ from typing import Annotated, Any
 import typer
 
 from freerein import wire
+from freerein.cli.commands.runs import whole_run
 from freerein.cli.connection import call, call_each, check_all_answer, check_only_unavailable
-from freerein.cli.output import AsJson, ago, command, print_json, show_all
+from freerein.cli.output import AsJson, command, print_json
+from freerein.cli.tables import show_all
+from freerein.cli.times import ago
 from freerein.clients import ImitationClient, ModelClient
 from freerein.errors import InvalidInput, NotFound
 from freerein.jobs import wall_clock
@@ -78,12 +81,12 @@ def rm(
 @app.command()
 @command
 def publish(
-    run: Annotated[str, typer.Argument(help="Id of a ppo run that succeeded; see `freerein runs list`.")],
+    run: Annotated[str, typer.Argument(help="Id of a ppo run that succeeded, or its first digits or readable name.")],
     name: Annotated[str, typer.Option(help="Model name; that of the run's task when empty.")] = "",
     as_json: AsJson = False,
 ) -> None:
     """Serve the policy of a ppo run by name, beside the other models of the imitation service."""
-    request = PublishPolicyRequest(run, name)
+    request = PublishPolicyRequest(whole_run(run), name)
     ref = call(ImitationClient, "imitation", lambda client: client.publish_policy(request)).model
     found = call(ModelClient, "imitation", lambda client: client.list_models(ListModelsRequest())).models
     _show([("imitation", model) for model in found if model.ref == ref], as_json=as_json)
@@ -119,12 +122,13 @@ def _show(models: Sequence[tuple[str, Model]], *, as_json: bool) -> None:
             model.ref.name,
             model.ref.version,
             "active" if model.active else "",
-            ago(model.time_ns, now_ns=now_ns),
+            ago(model.time_ns, now_ns=now_ns) or "shipped",
             _dataset(model.card),
         )
         for service, model in models
     )
-    show_all(("service", "model", "version", "", "made", "dataset"), rows, documents, as_json=as_json)
+    columns = ("service", "model", "version", "", "made", "dataset")
+    show_all(columns, rows, documents, as_json=as_json, last="cut")
 
 
 def _dataset(card: Mapping[str, Any]) -> str:

@@ -13,7 +13,8 @@ from freerein import images, wire
 from freerein.cli.commands.dataset import dataset_root, read_trajectory
 from freerein.cli.commands.image_files import FILES, read_images
 from freerein.cli.connection import call
-from freerein.cli.output import AsJson, command, print_json, show_table
+from freerein.cli.output import AsJson, command, print_json
+from freerein.cli.tables import show_table
 from freerein.clients import RewardClient
 from freerein.data import Dataset
 from freerein.errors import InvalidInput

@@ -13,12 +13,14 @@ from freerein import wire
 from freerein.atomic_files import TEMP_SUFFIX
 from freerein.cli.connection import call
 from freerein.cli.jobs import display
-from freerein.cli.jobs.ids import is_whole_id, whole_id
+from freerein.cli.jobs.ids import is_whole_id, short, whole_id
 from freerein.cli.jobs.next_steps import after_run, say_next_steps
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
 from freerein.cli.jobs.progress import metrics_text, steps_text
 from freerein.cli.jobs.streams import follow_run
-from freerein.cli.output import AsJson, ago, command, delete_each, print_json, show_all
+from freerein.cli.output import AsJson, command, delete_each, print_json
+from freerein.cli.tables import show_all
+from freerein.cli.times import ago
 from freerein.clients import OrchestratorClient
 from freerein.errors import InvalidInput
 from freerein.jobs import wall_clock
@@ -96,14 +98,14 @@ def list_runs(as_json: AsJson = False) -> None:
 @command
 def watch_run(run: _Id, metrics: _Metrics = None, as_json: AsJson = False) -> None:
     """Watch a run to its end, with its curves."""
-    _watch(_whole(run), metrics=metrics or None, as_json=as_json)
+    _watch(whole_run(run), metrics=metrics or None, as_json=as_json)
 
 
 @app.command()
 @command
 def metrics(run: _Id, from_step: FromStep = 0, max_rows: MaxRows = 1000, as_json: AsJson = False) -> None:
     """Print the metrics of a run."""
-    request = GetMetricsRequest(_whole(run), from_step, max_rows)
+    request = GetMetricsRequest(whole_run(run), from_step, max_rows)
     display.show_metrics(_ask(lambda client: _rows(client, request)), as_json=as_json)
 
 
@@ -111,7 +113,7 @@ def metrics(run: _Id, from_step: FromStep = 0, max_rows: MaxRows = 1000, as_json
 @command
 def cancel(run: _Id, as_json: AsJson = False) -> None:
     """Cancel a run; its last checkpoint is kept."""
-    run_id = _whole(run)
+    run_id = whole_run(run)
     _show([_ask(lambda client: client.cancel_run(CancelRunRequest(run_id))).run], as_json=as_json)
 
 
@@ -119,7 +121,7 @@ def cancel(run: _Id, as_json: AsJson = False) -> None:
 @command
 def resume(run: _Id, *, iterations: _Iterations = None, watch: _Watch = False, as_json: AsJson = False) -> None:
     """Resume a failed or cancelled run from its last checkpoint; with --iterations, train a ppo run on."""
-    run_id = _whole(run)
+    run_id = whole_run(run)
     if iterations:
         resumed = _ask(lambda client: _train_on(client, run_id, iterations))
     else:
@@ -138,14 +140,14 @@ def rm(
     def delete(run_id: str) -> None:
         _ask(lambda client: client.delete_run(DeleteRunRequest(run_id)))
 
-    delete_each(list(dict.fromkeys(map(_whole, runs))), delete, noun="run", as_json=as_json)
+    delete_each(list(dict.fromkeys(map(whole_run, runs))), delete, noun="run", as_json=as_json)
 
 
 @app.command()
 @command
 def artifacts(run: _Id, name: _Name = "", out: _Out = None, as_json: AsJson = False) -> None:
     """List the artifacts of a run, or fetch one."""
-    run_id = _whole(run)
+    run_id = whole_run(run)
     if not name:
         _list_artifacts(run_id, as_json=as_json)
     elif out == _STDOUT:
@@ -156,8 +158,8 @@ def artifacts(run: _Id, name: _Name = "", out: _Out = None, as_json: AsJson = Fa
         print_json({"file": str(path), "size": size}) if as_json else typer.echo(f"{size} bytes in {path}")
 
 
-def _whole(run: str) -> str:
-    """Returns the id of the run that is meant."""
+def whole_run(run: str) -> str:
+    """Returns the id of the run that is meant by an id, its first digits or a readable name."""
     if is_whole_id(run):
         return run
     return whole_id(run, [each.id for each in _ask(_all_runs)], list_command="freerein runs list")
@@ -224,8 +226,8 @@ def _watch(run_id: str, *, metrics: Sequence[str] | None = None, as_json: bool) 
         "orchestrator",
         lambda client: follow_run(client, run_id),
         lambda client: _rows(client, GetMetricsRequest(run_id)),
-        name=f"run {run_id[:8]}",
-        command=f"freerein runs watch {run_id}",
+        name=f"run {short(run_id)}",
+        command=f"freerein runs watch {short(run_id)}",
         metrics=metrics,
         as_json=as_json,
     )
@@ -242,22 +244,22 @@ def _show(runs: Sequence[Run], *, as_json: bool) -> None:
     now_ns = wall_clock.now_ns()
     rows = (
         (
-            run.id,
+            short(run.id),
             job_name(run.kind, run.config),
             run.state,
             ago(run.time_ns, now_ns=now_ns),
-            steps_text(run),
+            str(run.step) if run.state == "succeeded" else steps_text(run),
             f"{run.model.name} {run.model.version}" if run.model else "",
             run.error or metrics_text(run),
         )
         for run in runs
     )
-    show_all(
-        ("run", "name", "state", "changed", "steps", "model", "metrics"), rows, map(wire.to_json, runs), as_json=as_json
-    )
+    columns = ("run", "name", "state", "changed", "steps", "model", "metrics")
+    show_all(columns, rows, map(wire.to_json, runs), as_json=as_json, last="cut")
 
 
 def _list_artifacts(run_id: str, *, as_json: bool) -> None:
     found = _ask(lambda client: client.list_artifacts(ListArtifactsRequest(run_id))).artifacts
-    rows = ((artifact.name, str(artifact.size)) for artifact in found)
-    show_all(("artifact", "bytes"), rows, map(wire.to_json, found), as_json=as_json)
+    now_ns = wall_clock.now_ns()
+    rows = ((each.name, str(each.size), ago(each.time_ns, now_ns=now_ns)) for each in found)
+    show_all(("artifact", "bytes", "changed"), rows, map(wire.to_json, found), as_json=as_json)

@@ -11,7 +11,8 @@ from freerein import wire
 from freerein.cli.commands.dataset import Replace, dataset_root, replaceable_root
 from freerein.cli.connection import call
 from freerein.cli.jobs.streams import reconnecting
-from freerein.cli.output import AsJson, command, print_json, progress_bar, show_table
+from freerein.cli.output import AsJson, command, print_json, progress_bar
+from freerein.cli.tables import show_table
 from freerein.clients import SimClient
 from freerein.data.dataset_recorder import DatasetRecorder
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksRequest, Task
@@ -27,8 +28,8 @@ def tasks(as_json: AsJson = False) -> None:
     if as_json:
         print_json(wire.to_json(found))
         return
-    columns = ("task", "world", "cameras", "action", "rate", "skills")
-    show_table(columns, [_row(task) for task in found.tasks])
+    columns = ("task", "cameras", "action", "rate", "skills")
+    show_table(columns, [_row(task) for task in found.tasks], last="cut")
 
 
 @app.command()
@@ -118,4 +119,4 @@ async def _rest(client: SimClient, recording: DatasetRecorder) -> AsyncGenerator
 def _row(task: Task) -> tuple[str, ...]:
     cameras = ", ".join(f"{camera.name} {camera.height}x{camera.width}" for camera in task.cameras)
     action = f"{task.action.choices} choices" if task.action.choices else f"{task.action.size} numbers"
-    return task.name, task.world, cameras, action, f"{1 / task.control_dt_s:g} Hz", ", ".join(task.skills)
+    return task.name, cameras, action, f"{1 / task.control_dt_s:g} Hz", ", ".join(task.skills)

@@ -16,9 +16,12 @@ from rich.text import Text
 
 from freerein import wire
 from freerein.cli.connection import connect
+from freerein.cli.jobs.ids import short
 from freerein.cli.jobs.progress import Job, JobProgress, by_relevance, metrics_text, steps_text
 from freerein.cli.jobs.terminal_plot import plot
-from freerein.cli.output import print_json, show_all
+from freerein.cli.output import print_json
+from freerein.cli.tables import show_all
+from freerein.cli.times import duration
 from freerein.clients.rpc import Client
 from freerein.errors import FailedPrecondition, Unavailable
 from freerein.types.jobs import MetricRow
@@ -85,7 +88,7 @@ def check_succeeded(name: str, job: Job) -> None:
     """Raises FailedPrecondition when a job that has ended did not succeed."""
     if job.state != "succeeded":
         sentence = f"The {name} must succeed; its state is {job.state}. {job.error}".rstrip()
-        resume = f"freerein {'fit' if isinstance(job, Fit) else 'runs'} resume {job.id}"
+        resume = f"freerein {'fit' if isinstance(job, Fit) else 'runs'} resume {short(job.id)}"
         raise FailedPrecondition(
             sentence, hint=f"Its log.txt in the data directory says more; `{resume}` goes on from its last checkpoint."
         )
@@ -146,7 +149,7 @@ def show_metrics(rows: Sequence[MetricRow], *, as_json: bool) -> None:
 
 def _state_line(name: str, job: Job, seconds_left: float | None) -> RenderableType:
     bar = ProgressBar(total=job.steps or None, completed=job.step, width=_BAR_WIDTH)
-    left = "" if seconds_left is None else f"{int(seconds_left) // 60}:{int(seconds_left) % 60:02} left"
+    left = "" if seconds_left is None else f"{duration(seconds_left)} left"
     line = Table.grid(padding=(0, 2))
     state = Text(job.state, _COLOURS.get(job.state, ""))
     line.add_row(Text(name, "bold", no_wrap=True), state, bar, steps_text(job), Text(left))

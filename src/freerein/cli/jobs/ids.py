@@ -5,7 +5,12 @@ from collections.abc import Sequence
 
 from freerein.errors import InvalidInput
 
-_ID_DIGITS = 32
+_ID_DIGITS, _SHOWN = 32, 8
+
+
+def short(job_id: str) -> str:
+    """Returns the first digits of an id, which name it in every command."""
+    return job_id[:_SHOWN]
 
 
 def is_whole_id(given: str) -> bool:
