@@ -46,6 +46,12 @@ def encode(array: npt.NDArray[Any]) -> tuple[str, tuple[int, ...], bytes]:
     return name, array.shape, array.astype(DTYPES[name], copy=False).tobytes()
 
 
+def encode_in_place(array: npt.NDArray[Any]) -> tuple[str, tuple[int, ...], npt.NDArray[np.uint8]]:
+    """Returns what `encode` does, `raw` as a view of the array where it is contiguous."""
+    name = datatype(array)
+    return name, array.shape, np.ascontiguousarray(array, DTYPES[name]).reshape(-1).view(np.uint8)
+
+
 def decode(name: str, shape: Sequence[int], raw: bytes, *, field: str = "") -> npt.NDArray[Any]:
     """Returns the array of (datatype, shape, raw), a read-only view of `raw`; `field` is its dotted name, for errors.
 

@@ -13,7 +13,7 @@ import math
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
@@ -116,16 +116,38 @@ def unpack(source: object, cls: type[T], *, path: str = "") -> T:
     return cls(**values)
 
 
-def tensor_json(array: "np.ndarray[Any, Any]") -> dict[str, Any]:
+def base64_parts(raw: Any) -> list[bytes]:
+    """Returns bytes, uint8 (N) or `bytes`, as parts of one text in base64."""
+    return [base64.b64encode(raw[at : at + _BASE64_BYTES]) for at in range(0, len(raw), _BASE64_BYTES)]
+
+
+def base64_text(raw: Any) -> str:
+    """Returns bytes, as of `base64_parts`, as base64."""
+    return b"".join(base64_parts(raw)).decode("ascii")
+
+
+def tensor_json(array: "np.ndarray[Any, Any]", *, write_bytes: Callable[[Any], str] = base64_text) -> dict[str, Any]:
     """Returns an array as the JSON values of a `Tensor`."""
-    datatype, shape, raw = tensors.encode(array)
-    return {"datatype": datatype, "shape": list(shape), "raw": _base64(raw)}
+    datatype, shape, raw = tensors.encode_in_place(array)
+    return {"datatype": datatype, "shape": list(shape), "raw": write_bytes(raw)}
 
 
-def to_json(value: Any, *, write_tensor: Callable[["np.ndarray[Any, Any]"], Any] = tensor_json) -> dict[str, Any]:
-    """Returns a dataclass as JSON values: dicts, lists, strings, numbers; bytes as base64, arrays by `write_tensor`."""
+def to_json(
+    value: Any,
+    *,
+    write_tensor: Callable[["np.ndarray[Any, Any]"], Any] | None = None,
+    write_bytes: Callable[[Any], str] = base64_text,
+) -> dict[str, Any]:
+    """Returns a dataclass as JSON values: dicts, lists, strings, numbers.
+
+    Args:
+        value: The dataclass.
+        write_tensor: Returns an array as JSON values; None for the fields of a `Tensor`.
+        write_bytes: Returns bytes, and an array's as uint8 (N), as text: by default as base64.
+    """
+    tensor = write_tensor or partial(tensor_json, write_bytes=write_bytes)
     return {
-        field.name: _json(getattr(value, field.name), field.descriptor, write_tensor)
+        field.name: _json(getattr(value, field.name), field.descriptor, tensor, write_bytes)
         for field in _layout(type(value))
         if getattr(value, field.name) is not None
     }
@@ -347,19 +369,16 @@ def _number(value: float, path: str) -> float:
 # --- dataclass -> JSON
 
 
-def _json(value: Any, descriptor: FieldDescriptor, write_tensor: _Write) -> Any:
+def _json(value: Any, descriptor: FieldDescriptor, write_tensor: _Write, write_bytes: _Write) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist() if descriptor.message_type is None else write_tensor(value)
     if isinstance(value, bytes):
-        return _base64(value)
+        return write_bytes(value)
     if isinstance(value, tuple):
-        return [_json(item, descriptor, write_tensor) for item in value]
+        return [_json(item, descriptor, write_tensor, write_bytes) for item in value]
     if isinstance(value, dict):
         entry = _map_value(descriptor)
-        return {key: _json(item, entry, write_tensor) if entry else item for key, item in value.items()}
-    return to_json(value, write_tensor=write_tensor) if descriptor.message_type is not None else value
-
-
-def _base64(raw: bytes) -> str:
-    parts = (raw[at : at + _BASE64_BYTES] for at in range(0, len(raw), _BASE64_BYTES))
-    return "".join([base64.b64encode(part).decode("ascii") for part in parts])
+        return {key: _json(item, entry, write_tensor, write_bytes) if entry else item for key, item in value.items()}
+    if descriptor.message_type is None:
+        return value
+    return to_json(value, write_tensor=write_tensor, write_bytes=write_bytes)

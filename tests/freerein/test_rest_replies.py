@@ -106,6 +106,25 @@ async def test_a_reply_counts_until_it_is_read() -> None:
     assert memory.taken == 0
 
 
+async def test_very_large_replies_are_encoded_one_at_a_time_and_never_joined(monkeypatch: pytest.MonkeyPatch) -> None:
+    core, busy, lengths, real = Core(), threading.Lock(), [], base64.b64encode
+    core.size = 9 * 2**20
+
+    def recorded(part: bytes) -> bytes:
+        assert busy.acquire(blocking=False)
+        try:
+            lengths.append(len(part))
+            return real(part)
+        finally:
+            busy.release()
+
+    monkeypatch.setattr(base64, "b64encode", recorded)
+    app = make_toy(core, Memory(Limits()))
+    for reply in await asyncio.gather(*(ask(app) for _ in range(3))):
+        assert base64.b64decode(reply.json()["snapshot"]) == bytes(core.size)
+    assert lengths == [3 * 2**20] * 9
+
+
 @pytest.mark.parametrize(("size", "is_inline"), [(MAX_INLINE_BYTES, True), (MAX_INLINE_BYTES + 1, False)])
 async def test_large_replies_are_encoded_off_the_event_loop(
     size: int, is_inline: bool, monkeypatch: pytest.MonkeyPatch

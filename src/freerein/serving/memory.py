@@ -6,7 +6,7 @@ What counts are bytes on the wire, times `COPIES`: as received, as parsed or enc
 import asyncio
 import ctypes
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import is_dataclass
 from typing import Any, TypeVar
 
@@ -17,13 +17,20 @@ from freerein.serving.limits import COPIES, MAX_INLINE_BYTES, Limits, Slots
 T = TypeVar("T")
 
 _TRIM_BYTES = 128 * 2**20
+_VERY_LARGE_BYTES = 8 * 2**20
 _malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
 
 
 class Memory:
-    """The bytes that all calls and connections of one service may hold together, `Limits.buffered_bytes`."""
+    """The bytes that all calls and connections of one service may hold together, `Limits.buffered_bytes`.
+
+    Attributes:
+        encoding: Held while a very large reply is encoded: the interpreter does so one at a time anyway, and the event
+            loop waits for all that want to.
+    """
 
     def __init__(self, limits: Limits) -> None:
+        self.encoding = asyncio.Lock()
         self._bytes = Slots(limits.buffered_bytes, "bytes of requests and replies may be in memory")
         self._peak = 0
 
@@ -63,9 +70,10 @@ class Memory:
 
 
 class Share:
-    """What one call or connection holds of a `Memory`."""
+    """What one call or connection holds of a `Memory`; `encoding` is that of the memory."""
 
     def __init__(self, memory: Memory) -> None:
+        self.encoding = memory.encoding
         self._memory = memory
         self._bytes = 0
 
@@ -95,7 +103,10 @@ async def encode(response: Any, write: Callable[[Any], T], share: Share) -> T:
     """
     size = _size_of(response)
     share.take(COPIES * size)
-    return write(response) if size <= MAX_INLINE_BYTES else await asyncio.to_thread(write, response)
+    if size <= MAX_INLINE_BYTES:
+        return write(response)
+    async with share.encoding if size >= _VERY_LARGE_BYTES else nullcontext():
+        return await asyncio.to_thread(write, response)
 
 
 def _size_of(value: object) -> int:

@@ -30,11 +30,11 @@ from freerein.serving.rest.docs_page import docs_routes
 from freerein.serving.rest.middleware import REQUEST_ID, SHARE, RequestMiddleware
 from freerein.serving.rest.openapi import MEDIA_TYPES, api_title, openapi_document
 from freerein.serving.rest.origin_policy import OriginPolicy
-from freerein.serving.rest.websocket import PATH, OpenSession, WebSocketEndpoint
+from freerein.serving.rest.reply_parts import PartsResponse, json_parts
+from freerein.serving.rest.websocket import ABOUT, PATH, OpenSession, WebSocketEndpoint
 
 _Endpoint = Callable[[Request], Awaitable[Response]]
 _SILENCE = object()
-_PIECE_BYTES = 256 * 1024
 _UNBUFFERED = {"cache-control": "no-cache", "x-accel-buffering": "no"}  # by nginx, which else keeps events for long
 
 
@@ -121,15 +121,16 @@ def _unary(method: Method, limits: Limits) -> _Endpoint:
 def _writer(request: Request, method: Method) -> Callable[[Any], Awaitable[Response]]:
     """Returns what writes a reply in the form that a request asks for."""
 
-    def json_of(response: Any) -> bytes:
-        return orjson.dumps(tensor_lists.reply_json(response) if form else wire.to_json(response))
+    def json_of(response: Any) -> list[bytes]:
+        return json_parts(response, as_lists=bool(form))
 
     async def json_reply(response: Any) -> Response:
-        return _Reply(await encode(response, json_of, request.scope[SHARE]), media_type=MEDIA_TYPES["reply"])
+        parts = await encode(response, json_of, request.scope[SHARE])
+        return PartsResponse(parts, media_type=MEDIA_TYPES["reply"])
 
     async def png_reply(response: Any) -> Response:
         png = await encode(response, lambda rendered: pictures.png_of(rendered.frames), request.scope[SHARE])
-        return _Reply(png, media_type=pictures.MEDIA_TYPE)
+        return PartsResponse([png], media_type=pictures.MEDIA_TYPE)
 
     form = "" if method.reads else request.query_params.get(tensor_lists.PARAMETER, "")
     if form not in ("", tensor_lists.LIST):
@@ -141,19 +142,6 @@ def _writer(request: Request, method: Method) -> Callable[[Any], Awaitable[Respo
     if pictures.holds_frames(method.descriptor.output_type) and pictures.wants_png(request.headers.get("accept", "")):
         return png_reply
     return json_reply
-
-
-class _Reply(Response):
-    """A response that is sent in pieces: the rest of a large one counts until the client has read what is before."""
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if len(self.body) <= _PIECE_BYTES:
-            await super().__call__(scope, receive, send)
-            return
-        await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-        for at in range(0, len(self.body), _PIECE_BYTES):
-            piece, is_last = self.body[at : at + _PIECE_BYTES], at + _PIECE_BYTES >= len(self.body)
-            await send({"type": "http.response.body", "body": piece, "more_body": not is_last})
 
 
 def _stream(method: Method, limits: Limits, slots: Slots) -> _Endpoint:

@@ -1,6 +1,6 @@
 """Tensors as plain lists of numbers, nested by axis, which any language can write and read."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -62,13 +62,13 @@ def tensor_of(nested: Sequence[object], datatypes: Sequence[str]) -> dict[str, A
     return {"datatype": name, "shape": shape, "raw": array.tobytes()}
 
 
-def reply_json(response: object) -> dict[str, Any]:
+def reply_json(response: object, *, write_bytes: Callable[[Any], str] = wire.base64_text) -> dict[str, Any]:
     """Returns a reply as JSON values, its tensors as lists; those of more than `MAX_LISTED` elements are as ever."""
-    return wire.to_json(response, write_tensor=_list_of)
 
+    def listed(array: npt.NDArray[Any]) -> object:
+        return array.tolist() if array.size <= MAX_LISTED else wire.tensor_json(array, write_bytes=write_bytes)
 
-def _list_of(array: npt.NDArray[Any]) -> object:
-    return array.tolist() if array.size <= MAX_LISTED else wire.tensor_json(array)
+    return wire.to_json(response, write_tensor=listed, write_bytes=write_bytes)
 
 
 def _flattened(nested: Sequence[object]) -> tuple[list[int], list[Any]]:
