@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from freerein.data import Dataset, tag_problems
-from freerein.data.batch_memory import batch_problems
+from freerein.data.batch_memory import Batches, batch_problems
 from freerein.errors import InvalidInput
 from freerein.learning.action_scaling import ActionScaling
 from freerein.learning.fit import FitResult
@@ -53,8 +53,8 @@ def _check_memory(source: FitDataset, config: SegmentationConfig) -> None:
     """Raises InvalidInput where a batch of the longest trajectories takes too much memory."""
     (camera,) = source.cameras(config.cameras)
     frame, cost = (camera.height, camera.width, camera.channels), _ENCODER_COST.get(config.encoder, 1.0)
-    lengths, batch_size = source.dataset.lengths, config.batch_size
-    for problem in batch_problems(lengths, frame, batch_size=batch_size, stride=config.stride, cost=cost):
+    batches = Batches(source.dataset.lengths, frame, config.batch_size, config.stride, cost)
+    for problem in batch_problems(batches, dataset=source.root.name):
         raise InvalidInput(problem.sentence, field="config.batch_size", hint=problem.hint)
 
 

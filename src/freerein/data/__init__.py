@@ -19,8 +19,10 @@ from freerein.data.annotations import label as label
 from freerein.data.annotations import tag as tag
 from freerein.data.cache import StepCache as StepCache
 from freerein.data.checks import DatasetSummary as DatasetSummary
+from freerein.data.checks import FitPrediction as FitPrediction
 from freerein.data.checks import check as check
 from freerein.data.checks import inspect as inspect
+from freerein.data.checks import predict_fit as predict_fit
 from freerein.data.checks import verify as verify
 from freerein.data.folders import FolderSource as FolderSource
 from freerein.data.folders import ImageSource as ImageSource

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from freerein.data import layout, meta, truth
-from freerein.data.batch_memory import batch_problems
+from freerein.data.batch_memory import Batches, batch_problems
 from freerein.data.counter_columns import CounterColumns
 from freerein.data.first_frames import MOST_TRAJECTORIES, first_frame_tests, low_resolution
+from freerein.data.input_bounds import ACTION_HINT, action_problem, frame_hint, frame_problem
 from freerein.data.layout import DatasetSpec
+from freerein.data.lookup import choose_cameras
 from freerein.data.meta import Row
 from freerein.data.reader import Dataset
 from freerein.data.tag_checks import Problem, tag_problems
@@ -28,6 +30,7 @@ _NO_ACTIONS = Problem(
     "warning",
 )
 _COUNTER_HINT = "Leave them out and import the dataset again; a joint that only moves one way may stay."
+_FEWEST_TRAJECTORIES = 2
 _TELLING_AUROC, _SIGNIFICANT = 0.6, 0.01
 _RESTORE = "Restore the file from a copy; without one, the trajectories before it can be kept."
 
@@ -63,6 +66,23 @@ class DatasetSummary:
     labelled: int
     data_bytes: int
     fingerprint: str
+
+
+@dataclass(frozen=True)
+class FitPrediction:
+    """What a fit of segmentation takes.
+
+    Attributes:
+        camera: The camera that it sees.
+        frame: Height, width and channels of its frames.
+        minutes: An estimate; see `freerein.data.batch_memory.Batches.seconds`.
+        memory_gb: Gigabytes of memory for the frames of a batch, at most.
+    """
+
+    camera: str
+    frame: tuple[int, int, int]
+    minutes: float
+    memory_gb: float
 
 
 def inspect(root: Path) -> DatasetSummary:
@@ -111,8 +131,7 @@ def verify(root: Path) -> list[Problem]:
 def check(root: Path) -> list[Problem]:
     """Returns what prevents or impairs learning skills from a dataset: its tags, first frames, actions, lengths, size.
 
-    Fits of segmentation refuse a dataset with an error, and accept one with warnings; where frames are too large, with
-    smaller batches than by default.
+    Fits of segmentation with the default configuration refuse a dataset with an error, and accept one with warnings.
 
     Raises:
         NotFound: There is no dataset in `root`.
@@ -128,8 +147,35 @@ def check(root: Path) -> list[Problem]:
     first_frames = [] if trajectories else _first_frame_problems(dataset)
     actions = [Problem("actions", each, _COUNTER_HINT, "warning") for each in counters.sentences()]
     actions += [] if dataset.spec.has_actions else [_no_actions(dataset)]
-    sizes = [each for size in dataset.spec.cameras.values() for each in batch_problems(dataset.lengths, size)]
-    return [*tag_problems(dataset.spec.skills, dataset.skills), *actions, *sizes[:1], *first_frames, *trajectories]
+    tags = tag_problems(dataset.spec.skills, dataset.skills)
+    return [*tags, *actions, *_size_problems(dataset, root.name), *first_frames, *trajectories]
+
+
+def predict_fit(root: Path) -> FitPrediction:
+    """Returns what a fit of segmentation with the default configuration takes; for a dataset without errors."""
+    dataset = Dataset(root)
+    batches = _default_batches(dataset)
+    (camera,) = choose_cameras(dataset, ())
+    return FitPrediction(camera, batches.frame, batches.seconds() / 60, batches.memory_bytes / 1e9)
+
+
+def _size_problems(dataset: Dataset, name: str) -> Iterator[Problem]:
+    """Yields why a fit with the default configuration refuses a dataset's count, actions or frames."""
+    if len(dataset) < _FEWEST_TRAJECTORIES:
+        sentence = f"A fit needs at least {_FEWEST_TRAJECTORIES} trajectories, one of them for validation; got 1."
+        yield Problem("data", sentence, "Record more.")
+    if problem := action_problem(dataset.spec.action):
+        yield Problem("actions", problem, ACTION_HINT)
+    batches = _default_batches(dataset)
+    if problem := frame_problem(batches.frame):
+        yield Problem("frames", problem, frame_hint(batches.frame))
+    else:
+        yield from batch_problems(batches, dataset=name)
+
+
+def _default_batches(dataset: Dataset) -> Batches:
+    (camera,) = choose_cameras(dataset, ())
+    return Batches(dataset.lengths, dataset.spec.cameras[camera])
 
 
 def _no_actions(dataset: Dataset) -> Problem:
@@ -239,8 +285,8 @@ def _first_frame_problems(dataset: Dataset) -> Iterator[Problem]:
         try:
             frames = [low_resolution(frame) for frame in dataset.first_frames(items, camera)]
         except (InvalidInput, UnsupportedMedia) as error:
-            is_only = len(dataset.spec.cameras) == 1
-            yield Problem(f"camera {camera}", error.detail, error.hint, "error" if is_only else "warning")
+            is_seen = camera in choose_cameras(dataset, ())
+            yield Problem(f"camera {camera}", error.detail, error.hint, "error" if is_seen else "warning")
             continue
         for test in first_frame_tests(np.array(frames), tags, rng=np.random.default_rng(0)):
             if test.auroc >= _TELLING_AUROC and test.p_value <= _SIGNIFICANT:

@@ -3,13 +3,12 @@
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
+from freerein.data.input_bounds import ACTION_HINT, action_problem, frame_hint, frame_problem
 from freerein.errors import InvalidInput
 from freerein.learning.fit_config import FitConfig
 from freerein.types.common import ActionSpec, Camera
 
-_SIDE = (4, 1024)
 _MAX_CAMERAS = 8
-_MAX_ACTION_SIZE, _MAX_ACTION_CHOICES = 256, 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,22 +35,11 @@ class InputSpec:
                 field="config.cameras",
             )
         for camera in self.cameras:
-            sides_fit = all(_SIDE[0] <= side <= _SIDE[1] for side in (camera.height, camera.width))
-            if not sides_fit or camera.channels not in (1, 3):
-                raise InvalidInput(
-                    f"Frames must be {_SIDE[0]} to {_SIDE[1]} pixels high and wide, with 1 or 3 channels; "
-                    f"got {camera.height} x {camera.width} x {camera.channels}.",
-                    field="dataset",
-                    hint="Record frames of another size, or store them as gray or RGB.",
-                )
-        action = self.action
-        is_discrete = action.size == 1 and 1 <= action.choices <= _MAX_ACTION_CHOICES
-        if not is_discrete and not (0 <= action.size <= _MAX_ACTION_SIZE and action.choices == 0):
-            raise InvalidInput(
-                f"An action must have at most {_MAX_ACTION_SIZE} numbers, or be one of at most {_MAX_ACTION_CHOICES} "
-                f"choices; got {action.size} numbers and {action.choices} choices.",
-                field="dataset",
-            )
+            size = (camera.height, camera.width, camera.channels)
+            if problem := frame_problem(size):
+                raise InvalidInput(problem, field="dataset", hint=frame_hint(size))
+        if problem := action_problem(self.action):
+            raise InvalidInput(problem, field="dataset", hint=ACTION_HINT)
 
     @property
     def encoded_action_size(self) -> int:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from freerein.data.batch_memory import DEFAULT_BATCH_SIZE
+from freerein.data.batch_memory import DEFAULT_BATCH_SIZE, DEFAULT_STEPS
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded, bounded_or_all, one_of
 from freerein.learning.encoders import ENCODERS
@@ -50,7 +50,7 @@ class SegmentationConfig(DatasetFitConfig):
     use_actions: bool = True
     augmentation: float = bounded(1.0, least=0.0, most=1.0)
     stride: int = bounded(1, least=1, most=100)
-    steps: int = bounded(2000, least=1, most=10_000_000)
+    steps: int = bounded(DEFAULT_STEPS, least=1, most=10_000_000)
     batch_size: int = bounded(DEFAULT_BATCH_SIZE, least=1, most=1024)
     features: int = bounded(64, least=8, most=1024)
     hidden_size: int = bounded(100, least=8, most=1024)

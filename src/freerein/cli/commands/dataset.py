@@ -1,6 +1,7 @@
 """`freerein dataset`: imports, inspects, checks, annotates and exports datasets; finds those that others name."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,7 +13,7 @@ from freerein.cli.output import AsJson, command, delete_each, print_json, progre
 from freerein.cli.segments.export import export_labels_to
 from freerein.cli.settings import CliSettings
 from freerein.cli.tables import show_table
-from freerein.cli.times import ago
+from freerein.cli.times import ago, duration
 from freerein.data import (
     Dataset,
     DatasetSummary,
@@ -182,14 +183,25 @@ def verify(
     folder = Path(name).expanduser()
     is_folder = "/" in name or (folder.is_dir() and not dataset_root(name).is_dir())
     root = folder if is_folder else dataset_root(name)
-    _report(name, root, data.verify, as_json=as_json, verdict="is undamaged")
+    _report(name, data.verify(root), as_json=as_json, verdict="is undamaged")
 
 
 @app.command()
 @command
 def check(name: _Name, as_json: AsJson = False) -> None:
-    """List what prevents learning skills from a dataset, and warnings; exit code 1 where a fit would refuse it."""
-    _report(name, dataset_root(name), data.check, as_json=as_json, verdict="is fit for training")
+    """List what prevents learning skills from a dataset, and warnings; exit code 1 where a fit would refuse it.
+
+    Where there are no errors it says what `freerein fit segmentation NAME` takes: an estimate of its minutes on a CPU,
+    and the most memory.
+    """
+    root = dataset_root(name)
+    problems = data.check(root)
+    is_fit = all(problem.severity != "error" for problem in problems)
+    predicted = data.predict_fit(root) if is_fit else None
+    fit = {"fit": asdict(predicted)} if predicted else {}
+    _report(name, problems, as_json=as_json, verdict="is fit for training", more=fit)
+    if predicted and not as_json:
+        typer.echo(f"freerein fit segmentation {name} {_takes(predicted)}")
 
 
 @app.command()
@@ -306,11 +318,21 @@ def _show_count(name: str, done: str, count: int, notes: Sequence[str], *, as_js
         typer.echo("\n".join([f"{count} trajectories of {name} are {done}.", *notes]))
 
 
-def _report(name: str, root: Path, examine: Callable[[Path], list[Problem]], *, as_json: bool, verdict: str) -> None:
-    problems = examine(root)
+def _takes(fit: data.FitPrediction) -> str:
+    (height, width, _), memory_gb = fit.frame, math.ceil(10 * fit.memory_gb) / 10
+    return (
+        f"sees frames of {height}x{width} of the camera {fit.camera}. It takes about "
+        f"{duration(math.ceil(60 * fit.minutes))}, by a plain estimate for one core of a CPU, and at most "
+        f"{memory_gb:.1f} GB of memory for the frames of a batch."
+    )
+
+
+def _report(
+    name: str, problems: Sequence[Problem], *, as_json: bool, verdict: str, more: Mapping[str, object] = {}
+) -> None:
     errors = sum(problem.severity == "error" for problem in problems)
     if as_json:
-        print_json({"dataset": name, "problems": [asdict(problem) for problem in problems]})
+        print_json({"dataset": name, "problems": [asdict(problem) for problem in problems], **more})
     elif problems:
         rows = [(each.severity, each.where, f"{each.sentence} {each.hint}".rstrip()) for each in problems]
         show_table(("", "where", "problem and fix"), rows, last="wrapped")
