@@ -17,11 +17,15 @@ from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein.serving.rest.examples import ID, example_parts
+from freerein.serving.rest.examples import JOB, SESSION, example_parts
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 SIM = ("Reset", "Step", "Render", "Snapshot", "Restore", "DrawRecipes", "Check", "ExpertActions", "CloseSession")
-SHIPPED = {"imitation": ("Act",), "reward": ("Reward", "Ground", "Describe", "EmbedGoal")}
+SHIPPED = {
+    "imitation": ("Act", "ActivateModel"),
+    "reward": ("Reward", "Ground", "Describe", "EmbedGoal", "ActivateModel"),
+    "segmentation": ("Segment", "ActivateModel"),
+}
 
 
 def build_sim(_data_dir: Path, health: Health) -> Service:
@@ -45,14 +49,21 @@ def build_reward(data_dir: Path, health: Health) -> Service:
     return build(RewardSettings(data_dir=data_dir, device="cpu"), Limits(), Metrics(), health)
 
 
-BUILD = {"sim": build_sim, "imitation": build_imitation, "reward": build_reward}
+def build_segmentation(data_dir: Path, health: Health) -> Service:
+    from freerein.serving.learned import LearnedSettings
+    from freerein_segmentation.__main__ import build
+
+    return build(LearnedSettings(data_dir=data_dir, device="cpu"), Limits(), Metrics(), health)
+
+
+BUILD = {"sim": build_sim, "imitation": build_imitation, "reward": build_reward, "segmentation": build_segmentation}
 
 
 class Door:
     """The REST API of a service: sends the example of an RPC."""
 
-    def __init__(self, opened: Any) -> None:
-        self._opened = opened
+    def __init__(self, opened: Any, service: str) -> None:
+        self._opened, self._service = opened, service
         transport = httpx.ASGITransport(opened.app, raise_app_exceptions=False)
         self._client = httpx.AsyncClient(transport=transport, base_url="http://service")
         self.document = opened.document
@@ -68,7 +79,7 @@ class Door:
     async def send_parts(self, name: str, changes: Mapping[str, Any]) -> httpx.Response:
         method = self._opened.method(name)
         files = []
-        for part, content in example_parts(method):
+        for part, content in example_parts(method, self._service):
             changed = changes.get(part, content)
             files.append((part, (None, changed) if isinstance(changed, str) else ("frame.png", changed, "image/png")))
         return await self._client.post(method.path, files=files)
@@ -83,7 +94,8 @@ async def open_door(
 
         async def open_once(name: str) -> Door:
             if name not in doors:
-                doors[name] = Door(await stack.enter_async_context(connect(BUILD[name], tmp_path_factory.mktemp(name))))
+                opened = await stack.enter_async_context(connect(BUILD[name], tmp_path_factory.mktemp(name)))
+                doors[name] = Door(opened, name)
             return doors[name]
 
         yield open_once
@@ -142,14 +154,15 @@ async def test_a_step_answers_with_lists_and_render_with_a_picture(open_door: An
 
 
 async def test_every_request_of_the_documents_has_an_example_with_a_command(open_door: Any) -> None:
-    for service, port in (("sim", 8104), ("reward", 8103), ("imitation", 8102)):
+    for service in BUILD:
         document = (await open_door(service)).document
         for path, operations in document["paths"].items():
             for operation in operations.values():
                 content = operation.get("requestBody", {}).get("content", {})
                 assert all(each["example"] is not None for each in content.values())
-                if content:
-                    assert f"curl localhost:{port}{path} -F " in operation["description"]
+                assert f"http://service{path}" in operation["description"]
                 required = [each for each in operation.get("parameters", []) if each["name"] == "id"]
-                assert all(each["example"] == ID for each in required)
+                assert all(each["example"] == JOB for each in required)
+                named = content.get("application/json", {}).get("example", {}).get("session")
+                assert named is None or (named == SESSION and "Replace `session`" in operation["description"])
         assert json.dumps(document)

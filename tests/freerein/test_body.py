@@ -458,3 +458,26 @@ def test_a_query_that_makes_no_request_is_refused(text: str, cls: type) -> None:
 def test_any_query_is_a_request_or_invalid_input(text: str) -> None:
     with contextlib.suppress(InvalidInput):
         query(text, WatchFitRequest)
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"", "line 1, column 1: "),
+        (b'{"dataset": "s3cr3t",}', "line 1, column 21: trailing comma"),
+        (b'{\n  "dataset": "a"\n  "model_name": "s3cr3t"\n}', "line 3, column 3: "),
+        (b"{'dataset': 1}", "line 1, column 2: "),
+        (b'{"dataset": NaN}', "line 1, column 13: "),
+        ('{"config": {"ä": s3cr3t}}'.encode(), "line 1, column 18: "),
+        (b'{\n"dataset": "s3cr3t\xff}', "line 2, column 19: not UTF-8"),
+        (b'{"dataset": "a"', "line 1, column 16: unexpected end"),
+    ],
+)
+async def test_broken_json_says_where_it_breaks(data: bytes, says: str) -> None:
+    part = b'--b\r\ncontent-disposition: form-data; name="config"\r\n\r\n%s\r\n--b--\r\n'
+    for content, media_type in ((data, JSON), (part % data.replace(b"\xff", b"'"), MULTIPART)):
+        with pytest.raises(InvalidInput) as error:
+            await read(content, StartFitRequest, media_type)
+        if b"\xff" in content or b"\xff" not in data:
+            assert says in error.value.detail
+        assert SECRET not in f"{error.value.detail} {error.value.hint}"

@@ -10,6 +10,7 @@ import pytest
 from freerein.errors import InvalidInput
 from freerein.types.orchestrator import RunKind
 from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds.config_schemas import run_config_schema
 
 FIT = {"service": "imitation", "dataset": "play", "config": {"steps": 30}}
 CONFIGS: dict[RunKind, tuple[dict[str, Any], int]] = {
@@ -53,3 +54,11 @@ def test_hyperparameters_that_do_not_fit_are_refused_by_their_key(key: str, valu
 
 def test_the_last_log_standard_deviation_may_be_learned() -> None:
     assert KINDS["ppo"].parse({"task": "grid", "final_log_std": None}).final_log_std is None
+
+
+def test_the_configuration_of_every_kind_is_described() -> None:
+    described = {each["title"]: each for each in run_config_schema()["anyOf"]}
+    assert {title.partition(" ")[0] for title in described} == {*KINDS}
+    assert described["collect"]["required"] == ["task", "dataset"]
+    assert described["collect"]["properties"]["count"]["maximum"] == 1_000_000
+    assert all(each["description"] for kind in described.values() for each in kind["properties"].values())

@@ -55,6 +55,7 @@ def build(
         batcher=batcher,
         load=lambda folder: _warm_up(load(folder, settings.device)),
         resolve=METHODS.resolve,
+        config_schema=METHODS.schema,
         start_child=start_child,
     )
 

@@ -22,6 +22,7 @@ from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
 from freerein.types.orchestrator import RunKind
 from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds.config_schemas import run_config_schema
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.runs.dbos_queue import DbosQueue
 from freerein_orchestrator.runs.service import Resolved, RunService
@@ -73,6 +74,7 @@ def build(
         close=runs.close,
         not_ready=runs.not_ready,
         jobs={"run": folder},
+        configs=lambda: {"StartRunRequest": run_config_schema()},
     )
 
 

@@ -69,6 +69,7 @@ def build(
         load=lambda folder: _warm(load(folder, settings.device)),
         resolve=partial(METHODS.resolve, grounding=grounding) if grounding else _refuse_without_grounding,
         fit_arguments=(str(grounding),),
+        config_schema=METHODS.schema,
         start_child=start_child,
         fit_hint=f"; a grounding model: {_PRETRAIN}",
     )

@@ -48,6 +48,7 @@ def build(
         batcher=batcher,
         load=lambda folder: _warm(load(folder, settings.device)),
         resolve=METHODS.resolve,
+        config_schema=METHODS.schema,
         start_child=start_child,
     )
 

@@ -61,11 +61,18 @@ class _Checked(ABC):
     def check(self, value: Any, *, field: str, hint: str) -> None:
         """Raises InvalidInput where a value is not allowed."""
 
+    @abstractmethod
+    def limits(self) -> dict[str, Any]:
+        """Returns what is allowed, in the keywords of JSON schema."""
+
 
 class _OneOf(_Checked):
     def __init__(self, default: str, names: Collection[str]) -> None:
         super().__init__(default)
         self._names = names
+
+    def limits(self) -> dict[str, Any]:
+        return {"enum": list(self._names)}
 
     def check(self, value: Any, *, field: str, hint: str) -> None:
         if value not in self._names:
@@ -79,6 +86,9 @@ class _Bounded(_Checked):
         super().__init__(default)
         self._least = least
         self._most = most
+
+    def limits(self) -> dict[str, Any]:
+        return {"minimum": self._least, "maximum": self._most}
 
     def check(self, value: Any, *, field: str, hint: str) -> None:
         if not self._least <= value <= self._most:

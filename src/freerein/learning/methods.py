@@ -20,6 +20,7 @@ from freerein.data.lookup import choose_cameras, unseen_cameras
 from freerein.errors import InvalidInput
 from freerein.jobs.child import run_child
 from freerein.learning.config import parse
+from freerein.learning.config_schema import config_schema
 from freerein.learning.fit import FitResult, Learner, fit_and_save
 from freerein.learning.fit_config import DatasetFitConfig, FitConfig
 from freerein.learning.fit_dataset import FitDataset
@@ -94,6 +95,15 @@ class Methods(Generic[M_co]):
             config = _without_actions(config, given)
         config = method.resolve(source, config, **resources)
         return {"method": name, **asdict(config)}
+
+    def schema(self) -> dict[str, Any]:
+        """Returns the JSON schema of the configuration of a fit, as `resolve` takes it."""
+        default = next(iter(self.by_name))
+        schemas = []
+        for name, method in self.by_name.items():
+            schema = config_schema(method.config, title=name, more={"method": {"const": name}})
+            schemas.append(schema if name == default else {**schema, "required": ["method", *schema["required"]]})
+        return {"anyOf": schemas}
 
     def run_fit(self, folder: Path, data_dir: Path, device: str, **resources: Path) -> int:
         """Runs or resumes the fit in a folder, as its child process; returns the exit code, of `freerein.jobs.child`.

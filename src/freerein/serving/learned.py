@@ -53,6 +53,7 @@ def learned_service(
     batcher: Batcher[Any, Any],
     load: Callable[[Path], Model],
     resolve: Callable[..., dict[str, Any]],
+    config_schema: Callable[[], dict[str, Any]] = dict,
     make_websocket: Callable[[ModelCache[Model]], OpenSession] | None = None,
     fit_arguments: Sequence[str] = (),
     fit_hint: str = "",
@@ -61,8 +62,8 @@ def learned_service(
     """Returns a learned service: the methods of its cores, `FitService` and `ModelService`.
 
     `start_child` starts `freerein_<name>.fit` for a fit. `resolve` is called with the data directory, the dataset, the
-    configuration and `threads`; see `FitService`. `make_websocket` makes what opens the connections of a WebSocket,
-    where there is one.
+    configuration and `threads`; see `FitService`. `config_schema` returns the JSON schema of the configuration.
+    `make_websocket` makes what opens the connections of a WebSocket, where there is one.
     """
     settings.make_data_dir()
     store = open_store(name, settings)
@@ -106,4 +107,5 @@ def learned_service(
         hangs=batcher.hangs,
         open_websocket=make_websocket(models) if make_websocket else None,
         jobs={"fit": settings.data_dir / "fits" / name},
+        configs=lambda: {"StartFitRequest": config_schema()},
     )

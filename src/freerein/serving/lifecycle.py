@@ -15,7 +15,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import grpc
 import uvloop
@@ -57,6 +57,7 @@ class Service:
         hangs: Returns whether it can only be helped by a new process.
         open_websocket: Opens a connection of its WebSocket; None for a service without one.
         jobs: Folders of its jobs by kind, `fit` or `run`.
+        configs: Returns JSON schemas of the field `config`, by message of a request.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Service:
     hangs: Callable[[], bool] = lambda: False
     open_websocket: OpenSession | None = None
     jobs: Mapping[str, Path] = field(default_factory=dict)
+    configs: Callable[[], Mapping[str, Any]] = dict
 
 
 class _DecodeThreads(ThreadPoolExecutor):
@@ -125,6 +127,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
         origins=settings.origins,
         is_local=settings.is_local,
         open_websocket=service.open_websocket,
+        configs=service.configs,
     )
     grpc_server = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits, memory=memory, token=token)
     ports = _chosen_ports(service.name, settings)

@@ -1,10 +1,9 @@
 """The Starlette app of a service: one route per method, health, metrics, and errors as problem documents."""
 
 import asyncio
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, aclosing
 from dataclasses import replace
-from functools import cache
 from typing import Any, cast
 
 import orjson
@@ -17,7 +16,7 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import Receive, Scope, Send
 
 from freerein import wire
-from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, NotFound, ServiceError
+from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, ServiceError
 from freerein.serving.call_recorder import OTHER, CallRecorder
 from freerein.serving.error_replies import problem_document, problem_headers
 from freerein.serving.health import Health
@@ -27,6 +26,7 @@ from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest import body, pictures, tensor_lists
 from freerein.serving.rest.docs_page import docs_routes
+from freerein.serving.rest.field_names import unknown_path
 from freerein.serving.rest.middleware import REQUEST_ID, SHARE, RequestMiddleware
 from freerein.serving.rest.openapi import MEDIA_TYPES, api_title, openapi_document
 from freerein.serving.rest.origin_policy import OriginPolicy
@@ -50,18 +50,27 @@ def make_app(
     origins: Sequence[str] = (),
     is_local: bool = False,
     open_websocket: OpenSession | None = None,
+    configs: Callable[[], Mapping[str, Any]] = dict,
 ) -> Starlette:
     """Returns the REST API of a service; methods without a REST form are served over gRPC only.
 
     An empty `token` allows every call. Web pages of the `origins` may call it, too. With `is_local`, it must be called
     by a name of loopback. With `open_websocket` it has a WebSocket. Without `memory`, it has all of the limits' alone.
+    `configs` returns JSON schemas of the field `config`, by message of a request.
     """
     origin_policy = OriginPolicy(origins, is_local)
     served = [method for method in methods if method.rest_form != "none"]
+
+    def document() -> dict[str, Any]:
+        about_websocket = ABOUT if open_websocket else ""
+        return openapi_document(
+            methods, service=name, has_token=bool(token), websocket=about_websocket, configs=configs()
+        )
+
     routes = [
         *_method_routes(served, limits),
         *_health_and_metrics_routes(health, metrics),
-        *docs_routes(cache(lambda: openapi_document(served, service=name)), title=api_title(name)),
+        *docs_routes(document, title=api_title(name)),
     ]
     if open_websocket is not None:
         endpoint = WebSocketEndpoint(
@@ -70,6 +79,7 @@ def make_app(
         routes += [WebSocketRoute(PATH, endpoint.serve), WebSocketRoute("/{elsewhere:path}", endpoint.refuse_path)]
     app = Starlette(routes=routes, exception_handlers={HTTPException: _answer_http_exception})
     app.router.redirect_slashes = False
+    app.state.paths = [route.path for route in routes if isinstance(route, Route)]
     recorders = {
         method.path: CallRecorder(metrics, "rest", method.name, is_stream=method.is_stream) for method in served
     }
@@ -278,7 +288,7 @@ async def _answer_http_exception(request: Request, error: Exception) -> Response
         response.headers.update(http_error.headers or {})
         return response
     if http_error.status_code == 404:
-        return _respond(request, NotFound("The path does not exist.", hint="GET /openapi.json lists the paths."))
+        return _respond(request, unknown_path(request.scope["path"], request.app.state.paths))
     return _respond(request, InvalidInput("The request could not be read.", hint="See /openapi.json."))
 
 

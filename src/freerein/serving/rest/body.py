@@ -89,13 +89,24 @@ def _disconnected() -> Cancelled:
 def _parse_json(body: bytes, cls: type[T], *, load: Callable[[bytes], Any]) -> T:
     try:
         value = load(body)
-    except orjson.JSONDecodeError:
+    except orjson.JSONDecodeError as error:
         raise InvalidInput(
-            "The body must be JSON in UTF-8 with finite numbers; it could not be parsed.",
-            hint="NaN, Infinity, a byte-order mark, lone surrogates and very deep nesting are not allowed.",
+            f"The body must be JSON in UTF-8 with finite numbers; {_place(body, error)}.",
+            hint="Quotes are double, no comma ends a list. NaN, Infinity, a byte-order mark, lone surrogates and very "
+            "deep nesting are not allowed.",
         ) from None
     _check_keys(body, value)
     return _validated(value, cls, strict=True)
+
+
+def _place(text: bytes, error: orjson.JSONDecodeError) -> str:
+    """Returns where a text is no JSON, and why; not what stands there. Lines and columns count characters from 1."""
+    try:
+        text.decode()
+    except UnicodeDecodeError as bad:  # which orjson does not locate
+        lines = text[: bad.start].decode().split("\n")
+        return f"line {len(lines)}, column {len(lines[-1]) + 1}: not UTF-8"
+    return f"line {error.lineno}, column {error.colno}: {error.msg}"
 
 
 def _loads(data: bytes) -> Any:
@@ -217,9 +228,9 @@ def _part_value(field: FieldDescriptor, content: bytes | str) -> Any:
         return content
     try:
         value = _loads(content.encode())
-    except orjson.JSONDecodeError:
+    except orjson.JSONDecodeError as error:
         raise InvalidInput(
-            f"`{field.name}` must be JSON in a text part; it could not be parsed.",
+            f"`{field.name}` must be JSON in a text part; {_place(content.encode(), error)}.",
             field=field.name,
             hint="For an image, send a file: with curl, -F images=@frame.png.",
         ) from None

@@ -1,6 +1,7 @@
-"""Examples of requests, for the OpenAPI document: they are answered as they stand where they name no id.
+"""Examples of requests, for the OpenAPI document: a fresh installation answers them as they stand.
 
-The images show a red block to the left of a blue one.
+Those of fits and runs name the one that the example of its start makes, the fit of the dataset that the run records. A
+session must be replaced. The images show a red block to the left of a blue one.
 """
 
 import json
@@ -15,44 +16,61 @@ from google.protobuf.descriptor import Descriptor
 
 from freerein import images
 from freerein.api.common.v1 import common_pb2
-from freerein.ports import PORTS
+from freerein.jobs.store import id_of
 from freerein.serving.methods import Method
 from freerein.serving.rest.schemas import STRUCT
 from freerein.serving.rest.tensor_lists import reply_json
 from freerein.types import imitation, learning, orchestrator, reward, segmentation, sim
-from freerein.types.common import Goal, Image, Observation
+from freerein.types.common import Goal, Image, ModelRef, Observation
 
-ID = "33aff6d631d05c00849156bc87785527"
-"""Of a session, a fit or a run: replace it by one that you were given."""
+SESSION = "33aff6d631d05c00849156bc87785527"
+"""Of a simulation: replace it by one that you were given."""
 
-_FILE = "frame.png"
-_ANY_PORT = PORTS["orchestrator"].rest
-_VERSION = "d83bb442a837"
+BASE_URL = "http://SERVICE"
+"""Where the service is, in commands; whoever shows them replaces it."""
+
+_KEY = "example"
+JOB = id_of(_KEY)
+"""Id of the run and of the fit that the examples start, with the idempotency key."""
+
+_FILE, _DATASET = "frame.png", "demos"
+_SHIPPED = {
+    "imitation": ModelRef("default", "d83bb442a837"),
+    "segmentation": ModelRef("grid", "55e08f463cf0"),
+    "reward": ModelRef("default", "56711e7312df"),
+}
+_FIT: dict[str, dict[str, Any]] = {"reward": {"phrases": ["a red block", "a blue block"]}}
 _PHRASES, _GOAL_TEXT = ("a red block", "a blue block"), "put the red block to the left of the blue block"
 _EMPTY: tuple[object, ...] = ("", 0, [], {}, None)
 
 
 @cache
-def example_of(method: Method) -> Mapping[str, Any]:
+def example_of(method: Method, service: str) -> Mapping[str, Any]:
     """Returns the JSON body of an example request of an RPC, without fields that have their defaults."""
     make = _REQUESTS.get(method.request)
-    return cast(Mapping[str, Any], _without_defaults(reply_json(make()))) if make else {}
+    return cast(Mapping[str, Any], _without_defaults(reply_json(make(service)))) if make else {}
 
 
-def example_parts(method: Method) -> list[tuple[str, str | bytes]]:
+def example_parts(method: Method, service: str) -> list[tuple[str, str | bytes]]:
     """Returns an example as the parts of a multipart body, or of a query: dotted names, and texts or files."""
-    return list(_parts(method.descriptor.input_type, example_of(method)))
+    return list(_parts(method.descriptor.input_type, example_of(method, service)))
 
 
-def curl_command(method: Method, service: str) -> str:
-    """Returns a command that sends an example, with files in place of images; empty without an example."""
-    parts = [(name, part if isinstance(part, str) else f"@{_FILE}") for name, part in example_parts(method)]
-    if not parts:
-        return ""
-    url = f"localhost:{PORTS[service].rest if service in PORTS else _ANY_PORT}{method.path}"
+def curl_commands(method: Method, service: str, *, has_token: bool = False) -> dict[str, str]:
+    """Returns commands that send an example, by what is said of them: as it stands, and with files for its images."""
+    url, parts = f"{BASE_URL}{method.path}", example_parts(method, service)
+    curl = "curl -N" if method.rest_form == "events" else "curl"
+    if has_token:
+        curl += ' -H "Authorization: Bearer $FREEREIN_TOKEN"'
     if method.reads:
-        return f"curl '{url}?{'&'.join(f'{name}={text}' for name, text in parts)}'"
-    return " ".join(["curl", url, *(f"-F {shlex.quote(f'{name}={text}')}" for name, text in parts)])
+        query = "&".join(f"{name}={text!s}" for name, text in parts)
+        return {"": f"{curl} {shlex.quote(f'{url}?{query}') if query else url}"}
+    named = [(name, part if isinstance(part, str) else f"@{_FILE}") for name, part in parts]
+    form = " ".join([curl, url, *(f"-F {shlex.quote(f'{name}={text}')}" for name, text in named)])
+    if all(isinstance(part, str) for _, part in parts):
+        return {"": form if parts else f"{curl} {url} --json '{{}}'"}
+    body = shlex.quote(json.dumps(example_of(method, service)))
+    return {"": f"{curl} {url} --json {body}", "With files of your own:": form}
 
 
 def _parts(message: Descriptor, values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str | bytes]]:
@@ -76,48 +94,56 @@ def _without_defaults(value: Any) -> Any:
     return [_without_defaults(each) for each in value] if isinstance(value, list) else value
 
 
-def _scene() -> Image:
+def _scene(height: int = 64, width: int = 64) -> Image:
     pixels = np.full((64, 64, 3), (120, 136, 148), np.uint8)
     pixels[44:] = (38, 40, 46)
     pixels[36:46, 14:24], pixels[36:46, 40:50] = (222, 24, 20), (26, 76, 236)
-    return images.encode(pixels)
+    return images.encode(pixels[np.arange(height) * 64 // height][:, np.arange(width) * 64 // width])
 
 
-_REQUESTS: Mapping[type, Callable[[], object]] = {
-    imitation.ActRequest: lambda: imitation.ActRequest(Observation((_scene(),)), Goal((_scene(),))),
-    imitation.PublishPolicyRequest: lambda: imitation.PublishPolicyRequest(ID, "left-of"),
-    learning.StartFitRequest: lambda: learning.StartFitRequest("demos", config={"seed": 1}),
-    learning.GetFitRequest: lambda: learning.GetFitRequest(ID),
-    learning.GetFitMetricsRequest: lambda: learning.GetFitMetricsRequest(ID),
-    learning.WatchFitRequest: lambda: learning.WatchFitRequest(ID),
-    learning.CancelFitRequest: lambda: learning.CancelFitRequest(ID),
-    learning.ResumeFitRequest: lambda: learning.ResumeFitRequest(ID),
-    learning.ActivateModelRequest: lambda: learning.ActivateModelRequest("default", _VERSION),
-    orchestrator.StartRunRequest: lambda: orchestrator.StartRunRequest(
-        "collect", {"task": "grid", "count": 10, "dataset": "demos"}
+_REQUESTS: Mapping[type, Callable[[str], object]] = {
+    imitation.ActRequest: lambda _: imitation.ActRequest(Observation((_scene(),)), Goal((_scene(),))),
+    imitation.PublishPolicyRequest: lambda _: imitation.PublishPolicyRequest(JOB, "left-of"),
+    learning.StartFitRequest: lambda service: learning.StartFitRequest(
+        _DATASET, _KEY, {"steps": 100, **_FIT.get(service, {})}, _KEY
     ),
-    orchestrator.GetRunRequest: lambda: orchestrator.GetRunRequest(ID),
-    orchestrator.WatchRunRequest: lambda: orchestrator.WatchRunRequest(ID),
-    orchestrator.GetMetricsRequest: lambda: orchestrator.GetMetricsRequest(ID),
-    orchestrator.CancelRunRequest: lambda: orchestrator.CancelRunRequest(ID),
-    orchestrator.ResumeRunRequest: lambda: orchestrator.ResumeRunRequest(ID),
-    orchestrator.ListArtifactsRequest: lambda: orchestrator.ListArtifactsRequest(ID),
-    orchestrator.GetArtifactRequest: lambda: orchestrator.GetArtifactRequest(ID, "result.json"),
-    reward.RewardRequest: lambda: reward.RewardRequest(_GOAL_TEXT, images=(_scene(),)),
-    reward.GroundRequest: lambda: reward.GroundRequest(_scene(), (*_PHRASES, "a dog")),
-    reward.DescribeRequest: lambda: reward.DescribeRequest((_scene(),), _PHRASES),
-    reward.EmbedGoalRequest: lambda: reward.EmbedGoalRequest(_GOAL_TEXT),
-    segmentation.SegmentRequest: lambda: segmentation.SegmentRequest(
-        images=(_scene(), _scene()), actions=np.array([[0.1, -0.2], [0.5, 0.25]]), resize=True
+    learning.GetFitRequest: lambda _: learning.GetFitRequest(JOB),
+    learning.GetFitMetricsRequest: lambda _: learning.GetFitMetricsRequest(JOB),
+    learning.WatchFitRequest: lambda _: learning.WatchFitRequest(JOB),
+    learning.CancelFitRequest: lambda _: learning.CancelFitRequest(JOB),
+    learning.ResumeFitRequest: lambda _: learning.ResumeFitRequest(JOB),
+    learning.DeleteFitRequest: lambda _: learning.DeleteFitRequest(JOB),
+    learning.ActivateModelRequest: lambda service: learning.ActivateModelRequest(
+        **vars(_SHIPPED.get(service, ModelRef("default")))
     ),
-    sim.CreateSessionRequest: lambda: sim.CreateSessionRequest("grid", 2, seed=7, privileged=True),
-    sim.ResetRequest: lambda: sim.ResetRequest(ID, seed=7),
-    sim.StepRequest: lambda: sim.StepRequest(ID, 1, np.array([[1], [2]])),
-    sim.RenderRequest: lambda: sim.RenderRequest(ID),
-    sim.SnapshotRequest: lambda: sim.SnapshotRequest(ID),
-    sim.RestoreRequest: lambda: sim.RestoreRequest(ID, b"what Snapshot returned"),
-    sim.DrawRecipesRequest: lambda: sim.DrawRecipesRequest("grid", count=3, seed=7),
-    sim.CheckRequest: lambda: sim.CheckRequest(ID, "completed/pick-red", np.zeros((1, 2, 12))),
-    sim.ExpertActionsRequest: lambda: sim.ExpertActionsRequest(ID),
-    sim.CloseSessionRequest: lambda: sim.CloseSessionRequest(ID),
+    learning.DeleteModelRequest: lambda _: learning.DeleteModelRequest(_KEY),
+    orchestrator.StartRunRequest: lambda _: orchestrator.StartRunRequest(
+        "collect", {"task": "grid", "count": 10, "dataset": _DATASET}, _KEY
+    ),
+    orchestrator.GetRunRequest: lambda _: orchestrator.GetRunRequest(JOB),
+    orchestrator.WatchRunRequest: lambda _: orchestrator.WatchRunRequest(JOB),
+    orchestrator.GetMetricsRequest: lambda _: orchestrator.GetMetricsRequest(JOB),
+    orchestrator.CancelRunRequest: lambda _: orchestrator.CancelRunRequest(JOB),
+    orchestrator.ResumeRunRequest: lambda _: orchestrator.ResumeRunRequest(JOB),
+    orchestrator.DeleteRunRequest: lambda _: orchestrator.DeleteRunRequest(JOB),
+    orchestrator.ListArtifactsRequest: lambda _: orchestrator.ListArtifactsRequest(JOB),
+    orchestrator.GetArtifactRequest: lambda _: orchestrator.GetArtifactRequest(JOB, "dataset.json"),
+    reward.RewardRequest: lambda _: reward.RewardRequest(_GOAL_TEXT, images=(_scene(),)),
+    reward.GroundRequest: lambda _: reward.GroundRequest(_scene(), (*_PHRASES, "a dog")),
+    reward.DescribeRequest: lambda _: reward.DescribeRequest((_scene(),), _PHRASES),
+    reward.EmbedGoalRequest: lambda _: reward.EmbedGoalRequest(_GOAL_TEXT),
+    segmentation.SegmentRequest: lambda _: segmentation.SegmentRequest(
+        images=(_scene(33, 30), _scene(33, 30)), actions=np.array([[1], [2]]), model=ModelRef("grid")
+    ),
+    segmentation.ListSkillsRequest: lambda _: segmentation.ListSkillsRequest(ModelRef("grid")),
+    sim.CreateSessionRequest: lambda _: sim.CreateSessionRequest("grid", 2, seed=7, privileged=True),
+    sim.ResetRequest: lambda _: sim.ResetRequest(SESSION, seed=7),
+    sim.StepRequest: lambda _: sim.StepRequest(SESSION, 1, np.array([[1], [2]])),
+    sim.RenderRequest: lambda _: sim.RenderRequest(SESSION),
+    sim.SnapshotRequest: lambda _: sim.SnapshotRequest(SESSION),
+    sim.RestoreRequest: lambda _: sim.RestoreRequest(SESSION, b"what Snapshot returned"),
+    sim.DrawRecipesRequest: lambda _: sim.DrawRecipesRequest("grid", count=3, seed=7),
+    sim.CheckRequest: lambda _: sim.CheckRequest(SESSION, "completed/pick-red", np.zeros((1, 2, 12))),
+    sim.ExpertActionsRequest: lambda _: sim.ExpertActionsRequest(SESSION),
+    sim.CloseSessionRequest: lambda _: sim.CloseSessionRequest(SESSION),
 }

@@ -21,6 +21,7 @@ from freerein.serving.call_recorder import CallRecorder
 from freerein.serving.error_replies import problem_document, problem_headers
 from freerein.serving.limits import COPIES, Limits
 from freerein.serving.memory import Memory
+from freerein.serving.rest import docs_page
 from freerein.serving.rest.origin_policy import OriginPolicy
 
 MAX_HEADER_BYTES = 16 * 1024
@@ -31,7 +32,7 @@ SHARE = "freerein.memory"
 LATE = "freerein.late"
 """Key of the scope of a request that did not arrive in time: how long it had, in seconds."""
 
-_PATHS_WITHOUT_TOKEN = frozenset({"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"})
+_PATHS_OF_HEALTH = frozenset({"/healthz", "/readyz", "/v2/health/live", "/v2/health/ready"})
 _MAX_HEADERS = 100
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
@@ -83,8 +84,9 @@ class RequestMiddleware:
                 "URL; got more.",
                 hint="Send long values in the body.",
             )
-        if scope["path"] not in _PATHS_WITHOUT_TOKEN:
-            auth.check(headers.get("authorization", ""), self._token)
+        if scope["path"] not in _PATHS_OF_HEALTH:
+            if scope["path"] not in docs_page.PATHS:
+                auth.check(headers.get("authorization", ""), self._token)
             self._origin_policy.check(headers)
         if headers.get("content-encoding", "identity").lower() != "identity":
             raise UnsupportedMedia(

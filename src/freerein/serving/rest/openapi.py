@@ -1,6 +1,7 @@
 """The OpenAPI document of a service, made from its methods."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from google.protobuf.descriptor import Descriptor
@@ -8,10 +9,10 @@ from google.protobuf.descriptor import Descriptor
 from freerein import __version__
 from freerein.api.common.v1 import common_pb2
 from freerein.serving.error_replies import PROBLEM_MEDIA_TYPE, TITLES
-from freerein.serving.methods import Method, RestForm
+from freerein.serving.methods import Method, RestForm, rest_path
 from freerein.serving.rest import pictures, tensor_lists
 from freerein.serving.rest.comments import comment_of
-from freerein.serving.rest.examples import curl_command, example_of, example_parts
+from freerein.serving.rest.examples import JOB, SESSION, curl_commands, example_of, example_parts
 from freerein.serving.rest.schemas import STRUCT, schema_of
 
 MEDIA_TYPES: dict[RestForm, str] = {
@@ -19,6 +20,16 @@ MEDIA_TYPES: dict[RestForm, str] = {
     "events": "text/event-stream",
     "file": "application/octet-stream",
 }
+_CALLS = (
+    "Calls that only read are `GET` with their fields in the query, others `POST` with a JSON object or, with files, "
+    "`multipart/form-data`. An error is a problem document (RFC 9457): `detail` says what was wrong, `hint` what to "
+    "do. A tensor is `{datatype, shape, raw}`, `raw` in base64, or a nested list. With a token, every call but health "
+    "checks and this page needs the header `Authorization: Bearer <token>`."
+)
+_EVENTS = (
+    "server-sent events, each with a number as its `id` and JSON as its `data`. The header `Last-Event-ID` resumes "
+    "after an event. A comment every few seconds keeps the connection open; the stream ends with what it watches."
+)
 _TENSORS = {
     "name": tensor_lists.PARAMETER,
     "in": "query",
@@ -50,18 +61,37 @@ def api_title(service: str) -> str:
     return f"freerein {service}"
 
 
-def openapi_document(methods: Sequence[Method], *, service: str) -> dict[str, Any]:
-    """Returns the OpenAPI document of these methods of a service."""
-    info = {"title": api_title(service), "version": __version__}
-    document: dict[str, Any] = {"openapi": "3.1.0", "info": info, "paths": {}}
+def openapi_document(
+    methods: Sequence[Method],
+    *,
+    service: str,
+    has_token: bool = False,
+    websocket: str = "",
+    configs: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Returns the OpenAPI document of a service, whose commands call it at `examples.BASE_URL`.
+
+    Args:
+        methods: Its methods; those of gRPC alone are named.
+        service: Its name.
+        has_token: Whether calls need a token.
+        websocket: What its WebSocket does; empty for none.
+        configs: JSON schemas of the field `config`, by message of a request.
+    """
+    served = [method for method in methods if method.rest_form != "none"]
+    info = {"title": api_title(service), "version": __version__, "description": _about(methods, websocket)}
+    document: dict[str, Any] = {"openapi": "3.1.0", "info": info, "servers": [{"url": "/"}], "paths": {}}
     schemas: dict[str, Any] = {"Problem": _PROBLEM_SCHEMA}
-    for method in methods:
-        document["paths"][method.path] = _operation(method, schemas, service)
+    for method in served:
+        document["paths"][method.path] = _operation(method, schemas, service, has_token)
+    for message, config in (configs or {}).items():
+        schemas[message]["properties"]["config"] |= config
+        schemas[message]["properties"]["config"].pop("additionalProperties", None)
     document["components"] = {
         "schemas": schemas,
-        "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
+        "securitySchemes": {"token": {"type": "http", "scheme": "bearer", "description": "FREEREIN_TOKEN."}},
     }
-    document["security"] = [{}, {"token": []}]
+    document["security"] = [{"token": []}] if has_token else [{}, {"token": []}]
     services = {
         method.descriptor.containing_service.full_name: method.descriptor.containing_service for method in methods
     }
@@ -69,7 +99,24 @@ def openapi_document(methods: Sequence[Method], *, service: str) -> dict[str, An
     return document
 
 
-def _operation(method: Method, schemas: dict[str, Any], service: str) -> dict[str, Any]:
+def _about(methods: Sequence[Method], websocket: str) -> str:
+    """Returns what is said of the whole API, as Markdown."""
+    only_grpc = [method for method in methods if method.rest_form == "none"]
+    events = [method for method in methods if method.rest_form == "events"]
+    owners = dict.fromkeys(method.descriptor.containing_service.full_name for method in methods)
+    paragraphs = [" ".join(filter(None, map(comment_of, owners))), _CALLS]
+    if events:
+        named = ", ".join(f"`GET {method.path}`" for method in events)
+        paragraphs.append(f"**Event streams.** {named}: {_EVENTS}")
+    if websocket:
+        paragraphs.append(f"**WebSocket.** At `/` of this port: {websocket}")
+    if only_grpc:
+        streams = [f"- `{method.name}`: {comment_of(method.descriptor.full_name)}" for method in only_grpc]
+        paragraphs.append("\n".join(["**Over gRPC alone**, streams of messages in both directions:", "", *streams]))
+    return "\n\n".join(filter(None, paragraphs))
+
+
+def _operation(method: Method, schemas: dict[str, Any], service: str, has_token: bool) -> dict[str, Any]:
     schema: dict[str, Any] = {"type": "string"}
     if method.rest_form != "file":
         schema = _reference(method.descriptor.output_type, "serialization", schemas)
@@ -81,22 +128,40 @@ def _operation(method: Method, schemas: dict[str, Any], service: str) -> dict[st
     }
     if pictures.holds_frames(method.descriptor.output_type):
         success["content"][pictures.MEDIA_TYPE] = {"schema": {"type": "string", "format": "binary"}}
+    comment, example = comment_of(method.descriptor.full_name), example_of(method, service)
     operation: dict[str, Any] = {
         "operationId": method.name,
         "tags": [method.descriptor.containing_service.name],
-        "summary": comment_of(method.descriptor.full_name),
+        "summary": re.split(r"(?<=[^.])[.;:](?:\s|$)", comment)[0],
+        "description": "\n\n".join([comment, *_notes(method, example), *_commands(method, service, has_token)]),
         "responses": {"200": success, **_PROBLEMS},
     }
-    if command := curl_command(method, service):
-        operation["description"] = f"```\n{command}\n```"
     if method.reads:
-        return {"get": {**operation, "parameters": _parameters(method.descriptor.input_type, example_of(method))}}
-    request = {"schema": _reference(method.descriptor.input_type, "validation", schemas), "example": example_of(method)}
-    parts = {"schema": _parts(method.descriptor.input_type), "example": _texts(method)}
+        return {"get": {**operation, "parameters": _parameters(method.descriptor.input_type, example)}}
+    request = {"schema": _reference(method.descriptor.input_type, "validation", schemas), "example": example}
+    parts = {"schema": _parts(method.descriptor.input_type), "example": _texts(method, service)}
     content = {"application/json": request, "multipart/form-data": parts}
     if _holds_tensors(method.descriptor.output_type):
         operation["parameters"] = [_TENSORS]
     return {"post": {**operation, "requestBody": {"required": True, "content": content}}}
+
+
+def _notes(method: Method, example: Mapping[str, Any]) -> Iterator[str]:
+    """Yields what an example needs, and how a stream is read."""
+    if method.rest_form == "events":
+        yield f"An event stream: {_EVENTS}"
+    if example.get("session") == SESSION:
+        yield "Replace `session` by one that `POST /v1/create-session` returned."
+    elif JOB in example.values():
+        start = rest_path("StartRun") if "Run" in method.name or "run" in example else rest_path("StartFit")
+        yield f"The example names what the example of `{start}` starts."
+    elif method.name == "StartFit":
+        yield f"The example needs the dataset that the example of the orchestrator's `{rest_path('StartRun')}` records."
+
+
+def _commands(method: Method, service: str, has_token: bool) -> Iterator[str]:
+    for said, command in curl_commands(method, service, has_token=has_token).items():
+        yield "\n\n".join(filter(None, [said, f"```sh\n{command}\n```"]))
 
 
 def _event(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -112,10 +177,10 @@ def _event(data: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _texts(method: Method) -> dict[str, Any]:
+def _texts(method: Method, service: str) -> dict[str, Any]:
     """Returns the text parts of an example; files cannot be shown."""
     texts: dict[str, list[str]] = {}
-    for name, part in example_parts(method):
+    for name, part in example_parts(method, service):
         if isinstance(part, str):
             texts.setdefault(name, []).append(part)
     fields = method.descriptor.input_type.fields_by_name
@@ -162,7 +227,7 @@ def _parameters(message: Descriptor, example: Mapping[str, Any], prefix: str = "
     properties = schema_of(message).model_json_schema().get("properties", {})
     for field in message.fields:
         if field.message_type is not None:
-            parameters += _parameters(field.message_type, {}, f"{prefix}{field.name}.")
+            parameters += _parameters(field.message_type, example.get(field.name, {}), f"{prefix}{field.name}.")
         else:
             schema = dict(properties[field.name])
             description = schema.pop("description")

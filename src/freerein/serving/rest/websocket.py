@@ -22,6 +22,12 @@ from freerein.serving.metrics import Metrics
 from freerein.serving.rest.origin_policy import OriginPolicy
 
 PATH = "/"
+ABOUT = (
+    "robots with `openpi-client` connect there, such as `ws://HOST:PORT/?model.name=NAME&goal.text=TEXT`. Messages are "
+    "msgpack: the service sends the model's spec, then answers each observation by actions. Keys of an observation and "
+    "of the URL are in docs/protocol.md, under Robots with openpi's client."
+)
+"""What the description of the API says of it."""
 ERROR = "freerein.error"
 """Key of the event that ends a connection for the error that it was closed with, where the client broke a rule."""
 _CLOSE_CODES = {"internal": 1011, "unavailable": 1012, "overloaded": 1013}

@@ -7,13 +7,13 @@ from functools import cache
 from freerein import wire
 from freerein.serving.methods import rest_path, rest_reads
 
-_NAME = re.compile(r"`(?P<quoted>[A-Z][A-Za-z]+)`|\b(?P<compound>[A-Z][a-z]+(?:[A-Z][a-z]+)+)\b")
+_NAME = re.compile(r"`(?P<quoted>[A-Z][A-Za-z]+)`|(?<!/)\b(?P<compound>[A-Z][a-z]+(?:[A-Z][a-z]+)+)\b")
 
 
 def with_paths(sentence: str) -> str:
     """Returns a sentence with the method and path of each RPC that it names, `ListTasks` being `GET /v1/list-tasks`.
 
-    A name of one word counts in backticks only. Streams of messages have no path, and stay.
+    A name of one word counts in backticks only, and none within a path. Streams of messages have no path, and stay.
     """
     return _NAME.sub(lambda found: _calls().get(found["quoted"] or found["compound"], found[0]), sentence)
 
