@@ -1,7 +1,7 @@
 """Tables in `docs/` equal the code: configuration classes, and registries of what a configuration names.
 
 A table stands below a comment that names its classes or its registry. `python tests/architecture/test_docs.py` rewrites
-all tables.
+all tables, and what the command line says of the same configurations.
 """
 
 import inspect
@@ -19,7 +19,9 @@ import pytest
 from pydantic import SecretStr
 from pydantic_core import PydanticUndefined
 
+from freerein.cli.jobs.config_keys import SCHEMAS
 from freerein.serving.metrics import Metrics
+from freerein_orchestrator.kinds.config_schemas import run_config_schema
 
 ROOT = Path(__file__).parents[2]
 TABLE = re.compile(r"(<!-- (?P<classes>[\w. ]+) -->\n\n)(?P<table>(\|.*\n)*)\n*")
@@ -77,6 +79,19 @@ def test_whatever_can_be_chosen_is_in_a_table() -> None:
         "ICMConfig",  # which runs choose themselves
         "GroundingConfig",  # which is chosen where models are made that come with freerein
     }
+
+
+def test_the_command_line_knows_the_keys_of_every_configuration() -> None:
+    assert json.loads(SCHEMAS.read_bytes()) == config_schemas(), "run python tests/architecture/test_docs.py"
+
+
+def config_schemas() -> dict[str, list[Any]]:
+    """Returns the JSON schemas of the configurations of fits by service, and of runs by kind."""
+    modules = {service: f"freerein_{service}.methods" for service in ("segmentation", "imitation", "reward")}
+    schemas = {service: import_module(module).METHODS.schema()["anyOf"] for service, module in modules.items()}
+    for schema in run_config_schema()["anyOf"]:
+        schemas.setdefault(schema["title"].split()[0], []).append(schema)
+    return json.loads(json.dumps(schemas))
 
 
 def written(classes: str) -> str:
@@ -150,3 +165,4 @@ if __name__ == "__main__":
     for page in (ROOT / "docs").glob("*.md"):
         text = TABLE.sub(lambda match: f"{match[1]}{written(match['classes'])}\n", page.read_text())
         page.write_text(text.rstrip("\n") + "\n")
+    SCHEMAS.write_text(json.dumps(config_schemas(), indent=1) + "\n")

@@ -116,8 +116,6 @@ def test_watching_it_again_tells_the_same_story() -> None:
     assert _json("watch", first[0]["id"]) == first
     assert _json("watch", first[0]["id"][:8]) == first
     assert (first[0]["state"], first[-1]["state"]) == ("queued", "succeeded")
-    assert _json("rm", first[0]["id"][:8]) == [{"run": first[0]["id"], "deleted": True}]
-    assert first[0]["id"] not in [run["id"] for run in _json("list")]
 
 
 def test_the_metrics_of_a_run_are_its_whole_curve_or_a_decimated_one() -> None:
@@ -155,6 +153,8 @@ def test_a_run_that_is_cancelled_is_resumed_to_its_end(orchestrator: Orchestrato
 
     assert (cancelled["state"], resumed["state"], resumed["step"]) == ("cancelled", "succeeded", resumed["steps"])
     assert _run("watch", run_id).exit_code == 0  # the end of the first attempt is not the end
+    assert _json("rm", run_id[:8]) == [{"run": run_id, "deleted": True}]
+    assert run_id not in [run["id"] for run in _json("list")]
 
 
 def test_a_ppo_run_that_has_succeeded_is_trained_on() -> None:

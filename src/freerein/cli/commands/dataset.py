@@ -231,7 +231,11 @@ def label(
     ] = None,
     unit: Annotated[
         TimeUnit | None,
-        typer.Option(help="Of times; without it by the columns' names, else seconds where one has a point."),
+        typer.Option(
+            metavar="UNIT",
+            help="Of times: timesteps, seconds or milliseconds; by default as the columns' names say, else seconds where "
+            "one has a point.",
+        ),
     ] = None,
     tier: Annotated[str, typer.Option(help="Tier to read of several in an export of ELAN.")] = "",
     with_tags: Annotated[

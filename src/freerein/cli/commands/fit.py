@@ -19,6 +19,7 @@ from freerein.cli.commands.dataset import (
 )
 from freerein.cli.connection import call, call_each, check_all_answer, check_only_unavailable
 from freerein.cli.jobs import display, fit_report
+from freerein.cli.jobs.config_keys import KeysHelp
 from freerein.cli.jobs.display import check_succeeded
 from freerein.cli.jobs.ids import is_whole_id, short, whole_id
 from freerein.cli.jobs.next_steps import after_fit, say_next_steps
@@ -72,7 +73,7 @@ _EXPLANATIONS = {
 def _add_start(service: str, explanation: str) -> None:
     """Adds the command that starts a fit of a service."""
 
-    @app.command(service, help=explanation)
+    @app.command(service, help=explanation, cls=KeysHelp)
     @command
     def start(
         dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
@@ -91,7 +92,7 @@ for _service, _explanation in _EXPLANATIONS.items():
     _add_start(_service, _explanation)
 
 
-@app.command()
+@app.command(cls=KeysHelp)
 @command
 def reward(
     dataset: Annotated[str, typer.Argument(help="Name of a dataset; with --images of the new one.")] = "",

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import aclosing
 from pathlib import Path
-from typing import Annotated, BinaryIO, Literal, TypeVar
+from typing import Annotated, BinaryIO, TypeVar, cast, get_args
 
 import typer
 
@@ -13,6 +13,7 @@ from freerein import wire
 from freerein.atomic_files import TEMP_SUFFIX
 from freerein.cli.connection import call
 from freerein.cli.jobs import display
+from freerein.cli.jobs.config_keys import KeysHelp
 from freerein.cli.jobs.ids import is_whole_id, short, whole_id
 from freerein.cli.jobs.next_steps import after_run, say_next_steps
 from freerein.cli.jobs.options import FromStep, MaxRows, Settings, configuration
@@ -36,6 +37,7 @@ from freerein.types.orchestrator import (
     ListRunsRequest,
     ResumeRunRequest,
     Run,
+    RunKind,
     StartRunRequest,
 )
 
@@ -47,9 +49,20 @@ app = typer.Typer(
     add_completion=False,
 )
 
+
+def _known_kind(kind: str) -> str:
+    if kind not in get_args(RunKind):
+        raise typer.BadParameter(f"The kind must be one of {', '.join(get_args(RunKind))}; got another.")
+    return kind
+
+
 _Kind = Annotated[
-    Literal["collect", "fit", "label", "ppo", "distill", "evaluate", "pipeline", "skills"],
-    typer.Argument(metavar="KIND", help="collect, fit, label, ppo, distill, evaluate, pipeline or skills."),
+    str,
+    typer.Argument(
+        metavar="KIND",
+        callback=_known_kind,
+        help="collect, fit, label, ppo, distill, evaluate, pipeline or skills.",
+    ),
 ]
 _Config = Annotated[Path | None, typer.Option(metavar="FILE.json", help="Configuration file; --set overrides it.")]
 _Key = Annotated[str, typer.Option(help="Idempotency key: the same key and configuration is the same run.")]
@@ -71,7 +84,7 @@ _Iterations = Annotated[
 _STDOUT = Path("-")
 
 
-@app.command()
+@app.command(cls=KeysHelp)
 @command
 def start(
     kind: _Kind,
@@ -82,8 +95,8 @@ def start(
     watch: _Watch = False,
     as_json: AsJson = False,
 ) -> None:
-    """Start a run."""
-    request = StartRunRequest(kind, configuration(settings, config), key)
+    """Start a run; `freerein runs start KIND --help` has the keys of one kind."""
+    request = StartRunRequest(cast(RunKind, kind), configuration(settings, config), key)
     _show_or_watch(_ask(lambda client: client.start_run(request)).run, watch=watch, as_json=as_json)
 
 

@@ -10,9 +10,10 @@ import typer
 from freerein.errors import InvalidInput
 
 Settings = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a configuration key; repeatable.")
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the configuration, below; repeatable."),
 ]
-FromStep = Annotated[int, typer.Option(min=0, max=2**64 - 1, help="First step to print.")]
+FromStep = Annotated[int, typer.Option(min=0, max=10**12, help="First step to print.")]
 MaxRows = Annotated[int, typer.Option(min=1, max=10_000, help="Maximum number of rows; more are decimated evenly.")]
 
 
