@@ -165,4 +165,5 @@ if __name__ == "__main__":
     for page in (ROOT / "docs").glob("*.md"):
         text = TABLE.sub(lambda match: f"{match[1]}{written(match['classes'])}\n", page.read_text())
         page.write_text(text.rstrip("\n") + "\n")
-    SCHEMAS.write_text(json.dumps(config_schemas(), indent=1) + "\n")
+    lines = (f"{json.dumps(name)}: {json.dumps(schemas)}" for name, schemas in config_schemas().items())
+    SCHEMAS.write_text("{\n" + ",\n".join(lines) + "\n}\n")

@@ -233,8 +233,8 @@ def label(
         TimeUnit | None,
         typer.Option(
             metavar="UNIT",
-            help="Of times: timesteps, seconds or milliseconds; by default as the columns' names say, else seconds where "
-            "one has a point.",
+            help="Of times: timesteps, seconds or milliseconds; by default as the columns' names say, else seconds "
+            "where one has a point.",
         ),
     ] = None,
     tier: Annotated[str, typer.Option(help="Tier to read of several in an export of ELAN.")] = "",
