@@ -11,12 +11,16 @@ from datasets import load_dataset
 from lerobot.datasets.language_render import active_at
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.rewards.sarm.sarm_utils import find_stage_and_tau
+from lerobot.utils.collate import lerobot_collate_fn
+from torch.utils.data import DataLoader
 
 for name in ("images", "video"):
     root = Path(sys.argv[1]) / name
     dataset = LeRobotDataset("freerein/compat", root=root, video_backend="pyav")
     stages = json.loads((root / "meta/temporal_proportions_dense.json").read_text())
     assert set(stages) == set(scene.SKILL_NAMES)
+    assert dataset.meta.has_language_columns
+    assert len(next(iter(DataLoader(dataset, batch_size=9, collate_fn=lerobot_collate_fn)))["action"]) == 9
     for row in range(dataset.num_frames):
         item = dataset[row]
         index, step = int(item["episode_index"]), int(item["frame_index"])

@@ -88,7 +88,7 @@ def test_a_whole_dataset_is_verified_and_fit_for_training(data_dir: Path) -> Non
         assert (result.exit_code, [each for each in problems if each["severity"] == "error"]) == (0, [])
     assert list(json.loads(result.stdout)["fit"]) == ["camera", "frame", "minutes", "memory_gb"]
     said = _run("dataset", "check", "demos").stdout
-    assert "of the camera top. It takes about 1 s, by a plain estimate" in said
+    assert "of the camera top. It takes about 1 min, by a plain estimate" in said
 
 
 def test_a_dataset_is_imported_under_a_new_name_and_other_sizes(data_dir: Path) -> None:

@@ -57,6 +57,7 @@ class ModelSpec(InputSpec):
             raise InvalidInput(
                 f"`cameras` must name 1 camera, because a request's frames are of one; got {len(self.cameras)}.",
                 field="config.cameras",
+                hint=f"Name one of them: --set cameras={self.cameras[0].name}.",
             )
         if not self.skills:
             raise InvalidInput("A network needs at least 1 skill; got 0.", hint="Tag the trajectories.")

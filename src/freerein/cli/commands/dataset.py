@@ -1,6 +1,5 @@
 """`freerein dataset`: imports, inspects, checks, annotates and exports datasets; finds those that others name."""
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -9,14 +8,14 @@ from typing import Annotated, Literal
 import typer
 
 from freerein import data
+from freerein.cli.dataset_words import summary_rows, takes
 from freerein.cli.output import AsJson, command, delete_each, print_json, progress_bar
 from freerein.cli.segments.export import export_labels_to
 from freerein.cli.settings import CliSettings
 from freerein.cli.tables import show_table
-from freerein.cli.times import ago, duration
+from freerein.cli.times import ago
 from freerein.data import (
     Dataset,
-    DatasetSummary,
     FolderSource,
     LabelOptions,
     LeRobotOptions,
@@ -38,7 +37,6 @@ app = typer.Typer(
     help="Import, inspect, check, annotate and export datasets.", no_args_is_help=True, add_completion=False
 )
 
-_MOST_GOAL_TEXTS = 6
 _LARGEST_SIDE = 1024
 _REPEATABLE = "repeatable; of layout lerobot."
 
@@ -170,7 +168,7 @@ def inspect(name: _Name, as_json: AsJson = False) -> None:
     if as_json:
         print_json({"dataset": name, **asdict(summary)})
     else:
-        show_table(("", ""), _rows(name, summary), last="wrapped")
+        show_table(("", ""), summary_rows(name, summary), last="wrapped")
 
 
 @app.command()
@@ -201,7 +199,7 @@ def check(name: _Name, as_json: AsJson = False) -> None:
     fit = {"fit": asdict(predicted)} if predicted else {}
     _report(name, problems, as_json=as_json, verdict="is fit for training", more=fit)
     if predicted and not as_json:
-        typer.echo(f"freerein fit segmentation {name} {_takes(predicted)}")
+        typer.echo(f"freerein fit segmentation {name} {takes(predicted)}")
 
 
 @app.command()
@@ -322,15 +320,6 @@ def _show_count(name: str, done: str, count: int, notes: Sequence[str], *, as_js
         typer.echo("\n".join([f"{count} trajectories of {name} are {done}.", *notes]))
 
 
-def _takes(fit: data.FitPrediction) -> str:
-    (height, width, _), memory_gb = fit.frame, math.ceil(10 * fit.memory_gb) / 10
-    return (
-        f"sees frames of {height}x{width} of the camera {fit.camera}. It takes about "
-        f"{duration(math.ceil(60 * fit.minutes))}, by a plain estimate for one core of a CPU, and at most "
-        f"{memory_gb:.1f} GB of memory for the frames of a batch."
-    )
-
-
 def _report(
     name: str, problems: Sequence[Problem], *, as_json: bool, verdict: str, more: Mapping[str, object] = {}
 ) -> None:
@@ -377,38 +366,3 @@ def read_trajectory(dataset: Dataset, index: int) -> Trajectory:
             hint="`freerein dataset inspect` shows the dataset.",
         )
     return dataset[index]
-
-
-def _goal_texts(summary: DatasetSummary) -> str:
-    """Returns the trajectories' own goal texts, most frequent first."""
-    counts = sorted(summary.goal_text_counts.items(), key=lambda entry: -entry[1])
-    own = [f"{text} ({count})" for text, count in counts if text != summary.spec.task]
-    return (
-        "; ".join([*own[:_MOST_GOAL_TEXTS], *(["..."] if len(own) > _MOST_GOAL_TEXTS else [])]) or "none of their own"
-    )
-
-
-def _rows(name: str, summary: DatasetSummary) -> list[tuple[str, str]]:
-    spec = summary.spec
-    cameras = ", ".join(f"{camera} {'x'.join(map(str, size))}" for camera, size in spec.cameras.items())
-    unit = "in [-1, 1]" if spec.has_scaled_actions else "in their own unit"
-    action = f"{spec.action.choices} choices" if spec.action.choices else f"{spec.action.size} numbers {unit}"
-    return [
-        ("dataset", name),
-        ("task", spec.task),
-        ("goal texts", _goal_texts(summary)),
-        ("trajectories", f"{summary.trajectories}, of {summary.shortest} to {summary.longest} timesteps"),
-        ("timesteps", f"{summary.frames}, {summary.duration_s / 60:.1f} minutes at {spec.fps} Hz"),
-        ("cameras", cameras),
-        ("action", action),
-        (
-            "robot state",
-            f"{spec.robot_state_size} numbers, read by `use_robot_state`" if spec.robot_state_size else "none",
-        ),
-        ("skills", ", ".join(f"{skill} ({count})" for skill, count in summary.skill_counts.items()) or "none"),
-        ("terminations", "known" if spec.has_terminations else "unknown"),
-        ("untagged", str(summary.untagged)),
-        ("true labels", str(summary.labelled)),
-        ("size", f"{summary.data_bytes / 1e6:.1f} MB"),
-        ("fingerprint", summary.fingerprint),
-    ]
