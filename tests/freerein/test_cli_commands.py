@@ -86,7 +86,7 @@ def test_a_whole_dataset_is_verified_and_fit_for_training(data_dir: Path) -> Non
         result = _run("dataset", name, "demos", "--json")
         problems = json.loads(result.stdout)["problems"]
         assert (result.exit_code, [each for each in problems if each["severity"] == "error"]) == (0, [])
-    assert list(json.loads(result.stdout)["fit"]) == ["camera", "frame", "minutes", "memory_gb"]
+    assert list(json.loads(result.stdout)["fit"]) == ["camera", "frame", "minutes", "memory_gb", "disk_gb"]
     said = _run("dataset", "check", "demos").stdout
     assert "of the camera top. It takes about 1 min, by a plain estimate" in said
 

@@ -137,7 +137,7 @@ def test_check_predicts_the_fit_that_is_the_default(tmp_path: Path) -> None:
     root, config = record(tmp_path, "demos", cameras=("front", "wrist")), SegmentationConfig()
     assert (config.batch_size, config.steps, config.stride) == (DEFAULT_BATCH_SIZE, DEFAULT_STEPS, Batches.stride)
     minutes = pytest.approx(2000 * 6 * (80e-6 + 288 * 9e-9) / 60)
-    assert predict_fit(root) == FitPrediction("front", (8, 12, 3), minutes, 6 * 288 * 30 / 1e9)
+    assert predict_fit(root) == FitPrediction("front", (8, 12, 3), minutes, 6 * 288 * 30 / 1e9, 6 * 288 / 1e9)
 
 
 def test_a_tag_that_is_no_skill_of_the_dataset_is_refused(tmp_path: Path) -> None:

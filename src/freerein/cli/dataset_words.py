@@ -10,11 +10,12 @@ _MOST_GOAL_TEXTS = 6
 
 def takes(fit: FitPrediction) -> str:
     """Returns what a fit takes, as the end of a sentence whose subject is its command."""
-    (height, width, _), memory_gb = fit.frame, math.ceil(10 * fit.memory_gb) / 10
+    height, width, _ = fit.frame
+    memory_gb, disk_gb = (math.ceil(10 * each) / 10 for each in (fit.memory_gb, fit.disk_gb))
     return (
         f"sees frames of {height}x{width} of the camera {fit.camera}. It takes about "
-        f"{duration(60 * math.ceil(fit.minutes))}, by a plain estimate for one core of a CPU, and at most "
-        f"{memory_gb:.1f} GB of memory for the frames of a batch."
+        f"{duration(60 * math.ceil(fit.minutes))}, by a plain estimate for one core of a CPU; at most {memory_gb:.1f} GB "
+        f"of memory for the frames of a batch; and {disk_gb:.1f} GB of disk for decoded frames."
     )
 
 

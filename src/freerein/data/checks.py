@@ -1,5 +1,6 @@
 """Checks of a dataset: `inspect` summarises it, `verify` finds damage, `check` finds what prevents learning skills."""
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -77,12 +78,14 @@ class FitPrediction:
         frame: Height, width and channels of its frames.
         minutes: An estimate; see `freerein.data.batch_memory.Batches.seconds`.
         memory_gb: Gigabytes of memory for the frames of a batch, at most.
+        disk_gb: Gigabytes of disk for the decoded frames, which `freerein dataset prune` deletes.
     """
 
     camera: str
     frame: tuple[int, int, int]
     minutes: float
     memory_gb: float
+    disk_gb: float
 
 
 def inspect(root: Path) -> DatasetSummary:
@@ -156,7 +159,8 @@ def predict_fit(root: Path) -> FitPrediction:
     dataset = Dataset(root)
     batches = _default_batches(dataset)
     (camera,) = choose_cameras(dataset, ())
-    return FitPrediction(camera, batches.frame, batches.seconds() / 60, batches.memory_bytes / 1e9)
+    disk_bytes = int(dataset.lengths.sum()) * math.prod(batches.frame)
+    return FitPrediction(camera, batches.frame, batches.seconds() / 60, batches.memory_bytes / 1e9, disk_bytes / 1e9)
 
 
 def _size_problems(dataset: Dataset, name: str) -> Iterator[Problem]:
