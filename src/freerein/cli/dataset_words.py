@@ -14,8 +14,8 @@ def takes(fit: FitPrediction) -> str:
     memory_gb, disk_gb = (math.ceil(10 * each) / 10 for each in (fit.memory_gb, fit.disk_gb))
     return (
         f"sees frames of {height}x{width} of the camera {fit.camera}. It takes about "
-        f"{duration(60 * math.ceil(fit.minutes))}, by a plain estimate for one core of a CPU; at most {memory_gb:.1f} GB "
-        f"of memory for the frames of a batch; and {disk_gb:.1f} GB of disk for decoded frames."
+        f"{duration(60 * math.ceil(fit.minutes))}, by a plain estimate for one core of a CPU; at most "
+        f"{memory_gb:.1f} GB of memory for the frames of a batch; and {disk_gb:.1f} GB of disk for decoded frames."
     )
 
 
