@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from freerein.errors import Overloaded
+from freerein.serving import memory as memory_module
 from freerein.serving.limits import COPIES, MAX_INLINE_BYTES, Limits
 from freerein.serving.memory import Memory, Share, encode
 
@@ -47,7 +48,7 @@ async def test_a_share_of_a_task_is_given_back_at_its_end() -> None:
         await asyncio.sleep(0)
 
     task = asyncio.create_task(work())
-    await asyncio.wait({task})
+    await task
     await asyncio.sleep(0)
     assert memory.taken == 0
 
@@ -65,6 +66,26 @@ async def test_a_large_reply_is_encoded_off_the_event_loop(size: int, is_inline:
     share = Share(Memory(Limits()))
     thread = await encode(Reply(np.zeros(size, np.uint8)), lambda _: threading.current_thread(), share)
     assert (thread is threading.current_thread()) == is_inline
+
+
+@pytest.mark.parametrize(("size", "alone"), [(2**23 - 1, False), (2**23, True)])
+async def test_very_large_replies_are_encoded_one_at_a_time(size: int, alone: bool) -> None:
+    memory = Memory(Limits())
+    share = Share(memory)
+    assert await encode(Reply(np.zeros(size, np.uint8)), lambda _: memory.encoding.locked(), share) is alone
+
+
+@pytest.mark.parametrize(("most", "left", "trimmed"), [(2**27, 2**25 - 1, [0]), (2**27, 2**25, []), (2**27 - 1, 0, [])])
+async def test_many_bytes_that_are_given_back_are_the_system_s_again(
+    most: int, left: int, trimmed: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    called: list[int] = []
+    monkeypatch.setattr(memory_module, "_malloc_trim", called.append)
+    memory = Memory(Limits())
+    memory.take(most)
+    memory.free(most - left)
+    await asyncio.get_running_loop().shutdown_default_executor()
+    assert called == trimmed
 
 
 async def test_a_reply_that_is_more_than_is_left_is_refused_before_it_is_encoded() -> None:
