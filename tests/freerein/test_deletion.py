@@ -97,6 +97,7 @@ async def test_of_versions_of_which_one_is_in_use_all_stay(tmp_path: Path, store
     assert {model.ref for model in store.models()} == refs
 
 
+@pytest.mark.fault("O16")
 def test_what_a_killed_deletion_left_is_listed_nowhere_and_goes_with_the_next(tmp_path: Path) -> None:
     store, runs = ModelStore(tmp_path / "models"), JobStore(tmp_path / "runs", noun="run")
     left, deleted = published(tmp_path, "a"), published(tmp_path, "b")
@@ -123,6 +124,7 @@ def test_a_job_whose_child_has_not_ended_is_not_deleted_yet(tmp_path: Path) -> N
     assert not list((tmp_path / "named").iterdir())
 
 
+@pytest.mark.fault("O16")
 @pytest.mark.parametrize(
     ("folder", "config", "is_named"),
     [

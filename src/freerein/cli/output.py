@@ -60,11 +60,18 @@ def print_error(error: ServiceError, *, as_json: bool) -> None:
         console.print(Text.assemble(("hint:  ", "bold"), hint), soft_wrap=True)
 
 
-def delete_each(names: Sequence[str], delete: Callable[[str], object], *, noun: str, as_json: bool) -> None:
-    """Deletes one thing after another, and says so of each; the first that is refused ends it."""
+def delete_each(
+    names: Sequence[str],
+    delete: Callable[[str], object],
+    *,
+    noun: str,
+    as_json: bool,
+    shown: Callable[[str], str] = str,
+) -> None:
+    """Deletes one thing after another, and says so of each as `shown`; the first that is refused ends it."""
     for name in names:
         delete(name)
-        print_json({noun: name, "deleted": True}) if as_json else typer.echo(f"Deleted {noun} {name}.")
+        print_json({noun: name, "deleted": True}) if as_json else typer.echo(f"Deleted {noun} {shown(name)}.")
 
 
 @contextmanager

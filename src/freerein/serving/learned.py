@@ -20,6 +20,7 @@ from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.serving.rest.websocket import OpenSession
 from freerein.serving.settings import ServiceSettings
+from freerein.types.common import ModelRef
 
 Model = TypeVar("Model")
 
@@ -67,12 +68,7 @@ def learned_service(
     """
     settings.make_data_dir()
     store = open_store(name, settings)
-    models = ModelCache(
-        store,
-        load,
-        fit_command=f"freerein fit {name} DATASET{fit_hint}",
-        check_unused=lambda ref: check_unused(settings.data_dir, f"Model {ref.name} {ref.version}", names_model(ref)),
-    )
+    models = _cached(store, load, fit_command=f"freerein fit {name} DATASET{fit_hint}", data_dir=settings.data_dir)
     fits = FitService(
         settings.data_dir / "fits" / name,
         module=f"freerein_{name}.fit",
@@ -93,14 +89,11 @@ def learned_service(
         await fits.close()
         batcher.close()
 
-    learning = learning_pb2.DESCRIPTOR.services_by_name
+    contracts = (contract, *(learning_pb2.DESCRIPTOR.services_by_name[each] for each in ("FitService", "ModelService")))
+    cores = (*make_cores(models), fits, models)
     return Service(
         name=name,
-        methods=(
-            *methods_of(contract, *make_cores(models)),
-            *methods_of(learning["FitService"], fits),
-            *methods_of(learning["ModelService"], models),
-        ),
+        methods=tuple(method for each in contracts for method in methods_of(each, *cores)),
         start=start,
         close=close,
         not_ready=lambda: models.not_ready() or batcher.not_ready(),
@@ -109,3 +102,12 @@ def learned_service(
         jobs={"fit": settings.data_dir / "fits" / name},
         configs=lambda: {"StartFitRequest": config_schema()},
     )
+
+
+def _cached(store: ModelStore, load: Callable[[Path], Model], *, fit_command: str, data_dir: Path) -> ModelCache[Model]:
+    """Returns the cache of a store, whose models stay while a fit or run of the data directory names them."""
+
+    def check(ref: ModelRef) -> None:
+        check_unused(data_dir, f"Model {ref.name} {ref.version}", names_model(ref))
+
+    return ModelCache(store, load, fit_command=fit_command, check_unused=check)

@@ -263,7 +263,7 @@ def rm(
     def delete(fit_id: str) -> None:
         call(FitClient, services[fit_id], lambda client: client.delete_fit(DeleteFitRequest(fit_id)))
 
-    delete_each(list(services), delete, noun="fit", as_json=as_json)
+    delete_each(list(services), delete, noun="fit", as_json=as_json, shown=short)
 
 
 @app.command()

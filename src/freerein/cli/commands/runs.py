@@ -153,7 +153,7 @@ def rm(
     def delete(run_id: str) -> None:
         _ask(lambda client: client.delete_run(DeleteRunRequest(run_id)))
 
-    delete_each(list(dict.fromkeys(map(whole_run, runs))), delete, noun="run", as_json=as_json)
+    delete_each(list(dict.fromkeys(map(whole_run, runs))), delete, noun="run", as_json=as_json, shown=short)
 
 
 @app.command()

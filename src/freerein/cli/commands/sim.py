@@ -117,6 +117,9 @@ async def _rest(client: SimClient, recording: DatasetRecorder) -> AsyncGenerator
 
 
 def _row(task: Task) -> tuple[str, ...]:
-    cameras = ", ".join(f"{camera.name} {camera.height}x{camera.width}" for camera in task.cameras)
+    by_size: dict[str, list[str]] = {}
+    for camera in task.cameras:
+        by_size.setdefault(f"{camera.height}x{camera.width}", []).append(camera.name)
+    cameras = ", ".join(f"{', '.join(names)} {size}" for size, names in by_size.items())
     action = f"{task.action.choices} choices" if task.action.choices else f"{task.action.size} numbers"
     return task.name, cameras, action, f"{1 / task.control_dt_s:g} Hz", ", ".join(task.skills)
