@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
@@ -130,7 +131,7 @@ async def sessions_left(running: Services) -> list[str]:
 
 def report(findings: Findings) -> int:
     """Prints what was found; returns the exit code."""
-    table = Table("service", "calls", "MiB at first", "at the end", "MiB / 10 000 calls", "threads", "descriptors")
+    table = Table("service", "calls", "MiB first", "last", "per 10 000", "threads", "descriptors", box=SIMPLE)
     for name, before in findings.before.items():
         some, after = findings.samples[name], findings.after.get(name, before)
         if not some:

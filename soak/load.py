@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from random import Random
 
 from soak import misuse
+from soak.doors import all_doors
 from soak.questions import Answer, Question, Services, all_questions, check
 from soak.sequences import all_sequences
 
@@ -42,7 +43,7 @@ class Load:
 
     async def learn_answers(self) -> None:
         """Asks every question once, alone."""
-        for questions, answers in ((all_questions(), self._plain), (all_sequences(), self._sequences)):
+        for questions, answers in ((all_questions(), self._plain), ((*all_sequences(), *all_doors()), self._sequences)):
             for question in questions:
                 answers[question] = await question(self._services, _ANSWER_S)
 

@@ -57,10 +57,14 @@ class Services:
         camera = self.spec.cameras[0]
         return Image("raw_rgb8", camera.height, camera.width, pixels.tobytes(), camera.name)
 
+    def seen(self, seed: int) -> Answer:
+        """Returns what a robot may see, uint8 (height, width, 3)."""
+        camera = self.spec.cameras[0]
+        return _noise(seed, camera.height, camera.width)
+
     def act_request(self, seed: int) -> ActRequest:
         """Returns an observation of noise, and as a goal a black image, which noise never reaches."""
-        camera = self.spec.cameras[0]
-        noise = _noise(seed, camera.height, camera.width)
+        noise = self.seen(seed)
         return ActRequest(Observation((self.picture(noise),)), Goal((self.picture(np.zeros_like(noise)),)))
 
 
@@ -80,10 +84,15 @@ def check(answer: Answer, expected: Answer) -> None:
         raise WrongAnswer(f"An answer of shape {answer.shape} differs from the one of shape {expected.shape}.")
 
 
+def trajectory(seed: int) -> tuple[Answer, Answer]:
+    """Returns frames of noise, uint8 (12, 33, 30, 3), and actions, int64 (12, 1)."""
+    return _noise(seed, 12, 33, 30), np.random.default_rng(seed).integers(0, 5, (12, 1))
+
+
 def segment_request(seed: int) -> SegmentRequest:
-    """Returns a trajectory of noise."""
-    rng = np.random.default_rng(seed)
-    return SegmentRequest(frames=_noise(seed, 12, 33, 30), actions=rng.integers(0, 5, (12, 1)))
+    """Returns a request for the labels of a trajectory."""
+    frames, actions = trajectory(seed)
+    return SegmentRequest(frames=frames, actions=actions)
 
 
 async def segment(services: Services, timeout_s: float, seed: int) -> Answer:

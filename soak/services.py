@@ -22,7 +22,10 @@ from soak.questions import Services
 
 _START_S = 120.0
 _SPEC = ModelSpec(
-    skills=("a", "b", "c"), cameras=(Camera("front", 33, 30, 3),), action=ActionSpec(1, 5, tuple("abcde"))
+    skills=("a", "b", "c"),
+    cameras=(Camera("front", 33, 30, 3),),
+    action=ActionSpec(1, 5, tuple("abcde")),
+    context=3,  # streams need a bounded one
 )
 _SETTINGS = {
     "OMP_NUM_THREADS": "1",
