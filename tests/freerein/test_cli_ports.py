@@ -63,8 +63,28 @@ def test_a_port_base_moves_all_ports_and_addresses_together() -> None:
 )
 def test_up_refuses_a_port_base_that_cannot_be(words: list[str], detail: str) -> None:
     result = CliRunner().invoke(app, ["up", "sim", "--json", *words])
-    assert (result.exit_code, json.loads(result.stderr)["error"]["code"]) == (1, "invalid_input")
+    assert (result.exit_code, json.loads(result.stderr)["error"]["code"]) == (3, "invalid_input")
     assert detail in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "says"),
+    [
+        ("FREEREIN_TOKN", "abc", "did you mean `FREEREIN_TOKEN`?"),
+        ("FREEREIN_TLS_CERT", "/none.pem", "a PEM file that can be read: No such file"),
+        ("FREEREIN_SIM_WORKERS", "0", "misconfigured FREEREIN_SIM_WORKERS: Input should be greater"),
+    ],
+)
+def test_up_prints_what_is_wrong_and_ends_with_3(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, reserve_ports: Any, variable: str, value: str, says: str
+) -> None:
+    monkeypatch.setitem(PORTS, "sim", reserve_ports(["sim"])["sim"])
+    monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path))
+    monkeypatch.setenv(variable, value)
+    result = CliRunner().invoke(app, ["up", "sim"])
+    assert result.exit_code == 3
+    assert says in " ".join(result.output.split())
+    assert "restarting" not in result.output
 
 
 def test_port_0_is_a_free_port() -> None:
@@ -86,7 +106,7 @@ def test_up_refuses_one_port_for_several_services(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv(variable, "18104")
     result = CliRunner().invoke(app, ["up", "sim", "reward", "--json"])
     error = json.loads(result.stderr)["error"]
-    assert (result.exit_code, error["code"], error["field"]) == (1, "invalid_input", variable)
+    assert (result.exit_code, error["code"], error["field"]) == (3, "invalid_input", variable)
     assert "one service" in error["detail"]
     assert "got 2" in error["detail"]
     assert "--free-ports" in error["hint"]

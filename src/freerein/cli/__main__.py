@@ -44,7 +44,8 @@ def _say_version(asked: bool) -> None:
 app = typer.Typer(
     cls=_LazyGroup,
     help="Serve learned robot skills. `freerein demo` shows everything; `freerein doctor` checks the machine.",
-    epilog="Exit codes: 0 success, 1 error, 2 invalid command line, 130 Ctrl-C (0 for `up`).",
+    epilog="Exit codes: 0 success, 1 error, 2 invalid command line, 130 Ctrl-C. Of `up`: 0 Ctrl-C, 3 where starting it "
+    "again cannot help.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )

@@ -4,7 +4,7 @@ import asyncio
 import json
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import aclosing, contextmanager, suppress
 from dataclasses import asdict
 from typing import Annotated
@@ -14,11 +14,13 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from freerein.cli.output import AsJson, command
+from freerein.cli.output import AsJson, command, print_error
 from freerein.cli.services import ServiceStatus, Stack, choose, configured_ports
 from freerein.cli.services import free_ports as find_free_ports
+from freerein.cli.services.certificates import certificate_problem
+from freerein.cli.services.process import CONFIGURATION_ERROR
 from freerein.cli.settings import CliSettings
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceError
 from freerein.ports import PORT_BASE
 
 _COLOURS = {"ready": "green", "given up": "red", "misconfigured": "red", "stopped": "dim"}
@@ -38,18 +40,34 @@ def up(
     services: _Services = None, free_ports: _FreePorts = False, port_base: _PortBase = None, as_json: AsJson = False
 ) -> None:
     """Run the services until Ctrl-C; restart them when they crash."""
+    try:
+        stack = _stack(services or (), free_ports=free_ports, port_base=port_base)
+        with _display(as_json=as_json) as show:
+            asyncio.run(_run(stack, show))
+    except (InvalidInput, NotFound, FailedPrecondition) as error:
+        print_error(error, as_json=as_json)
+        raise typer.Exit(CONFIGURATION_ERROR) from None
+
+
+def _stack(services: Sequence[str], *, free_ports: bool, port_base: int | None) -> Stack:
+    """Returns the services as the environment says; InvalidInput or NotFound where it is wrong."""
     if free_ports and port_base is not None:
         raise InvalidInput("--free-ports and --port-base both choose ports.", hint="Leave one out.")
-    settings, chosen = CliSettings(), choose(services or ())
+    settings, chosen = CliSettings(), choose(services)
+    if problem := certificate_problem(os.environ.get("FREEREIN_TLS_CERT") or None):
+        raise InvalidInput(problem, field="FREEREIN_TLS_CERT", hint="Correct it, or unset it.")
     environ = os.environ if port_base is None else {**os.environ, PORT_BASE: str(port_base)}
     ports = find_free_ports(chosen) if free_ports else configured_ports(chosen, environ)
-    stack = Stack(chosen, data_dir=settings.data_dir, environ=environ, ports=ports)
-    with _display(as_json=as_json) as show:
-        asyncio.run(_run(stack, show))
+    return Stack(chosen, data_dir=settings.data_dir, environ=environ, ports=ports)
 
 
 async def _run(stack: Stack, show: _Show) -> None:
-    """Runs the services until a signal arrives or all have failed. A second signal kills them."""
+    """Runs the services until a signal arrives or all have failed. A second signal kills them.
+
+    Raises:
+        FailedPrecondition: No service can start as it is configured.
+        ServiceError: All services have failed, one by crashes.
+    """
     this = asyncio.current_task()
     assert this is not None  # noqa: S101  # a coroutine runs in a task
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -59,7 +77,8 @@ async def _run(stack: Stack, show: _Show) -> None:
             async for statuses in changes:
                 show(statuses)
                 if all(status.has_failed for status in statuses):
-                    raise FailedPrecondition(
+                    is_permanent = all(status.state == "misconfigured" for status in statuses)
+                    raise (FailedPrecondition if is_permanent else ServiceError)(
                         "At least one service must run; all have failed.",
                         hint="Run `freerein doctor`.",
                     )

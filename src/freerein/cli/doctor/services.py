@@ -9,7 +9,13 @@ import grpc
 import httpx
 
 from freerein.cli.doctor.machine import CheckResult
-from freerein.cli.services.certificates import certificate_file, speaks_tls, tls_context, tls_problem
+from freerein.cli.services.certificates import (
+    certificate_file,
+    certificate_problem,
+    speaks_tls,
+    tls_context,
+    tls_problem,
+)
 from freerein.cli.services.endpoints import configured_host, configured_ports, connectable, is_free
 from freerein.cli.settings import CliSettings
 from freerein.clients.channel import is_loopback
@@ -36,7 +42,7 @@ def checks(names: Sequence[str]) -> list[Callable[[], CheckResult]]:
 
     Raises InvalidInput when the environment sets the port of one service, and several are here.
     """
-    if names and (problem := _certificate_problem()):
+    if names and (problem := certificate_problem(_certificate())):
         return [lambda: CheckResult("certificate", "problem", problem, "Correct FREEREIN_TLS_CERT.")]
     away = [name for name in names if os.environ.get(_variable(name))]
     here = [name for name in names if name not in away]
@@ -179,15 +185,6 @@ def _channel(target: str) -> grpc.Channel:
         return grpc.insecure_channel(target, options)
     credentials = grpc.ssl_channel_credentials(certificate_file(certificate).read_bytes())
     return grpc.secure_channel(target, credentials, options)
-
-
-def _certificate_problem() -> str:
-    """Returns why the certificate in the environment cannot be used; empty where it can, or there is none."""
-    try:
-        tls_context(_certificate())
-    except OSError as error:
-        return f"FREEREIN_TLS_CERT must be a PEM file that can be read: {getattr(error, 'reason', error.strerror)}"
-    return ""
 
 
 def _certificate() -> str | None:

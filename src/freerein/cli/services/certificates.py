@@ -25,6 +25,15 @@ def tls_context(certificate: str | None) -> ssl.SSLContext | bool:
     return True if certificate is None else _trusting(certificate)
 
 
+def certificate_problem(certificate: str | None) -> str:
+    """Returns why the file in FREEREIN_TLS_CERT cannot be trusted at all; empty where it can, or there is none."""
+    try:
+        tls_context(certificate)
+    except OSError as error:
+        return f"FREEREIN_TLS_CERT must be a PEM file that can be read: {getattr(error, 'reason', error.strerror)}"
+    return ""
+
+
 def tls_problem(host: str, port: int, certificate: str, *, called: str = "", timeout_s: float) -> str:
     """Returns why clients cannot speak TLS with a service, as sentences; empty where they can, or nobody listens.
 
