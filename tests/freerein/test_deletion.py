@@ -17,6 +17,7 @@ from freerein.cli.__main__ import app
 from freerein.data import Dataset, DatasetSpec, FolderSource, create, open_writer
 from freerein.data.dataset_recorder import recording
 from freerein.data.folder_locks import in_use
+from freerein.data.labels import LabelsWriter
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound, Overloaded
 from freerein.jobs.in_use import IsNamed, check_unused, names_dataset, names_model, names_run
 from freerein.jobs.store import JobStore
@@ -205,8 +206,9 @@ def test_a_dataset_is_deleted_damaged_or_not_and_of_a_link_the_link_alone(tmp_pa
 
 def test_a_dataset_that_a_fit_reads_or_a_process_writes_stays_and_is_not_replaced(tmp_path: Path, demos: Path) -> None:
     images(tmp_path / "pictures", 4)
-    with open_writer(demos):
-        assert freerein("dataset", "rm", "demos").exit_code == 1
+    for writer in (open_writer(demos), LabelsWriter(demos, name="a process")):
+        with writer:
+            assert "dataset demos must not be in use" in freerein("dataset", "rm", "demos").stderr
     fit = job(tmp_path, "fits/segmentation", {"dataset": "demos"})
     for words in (["rm", "demos"], ["import", str(tmp_path / "pictures"), "demos", "--replace"]):
         result = freerein("dataset", *words)

@@ -2,13 +2,14 @@
 
 import shutil
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 
 from freerein.atomic_files import delete_folder, fsync_folder
+from freerein.data import labels
 from freerein.data.folder_locks import unused
 from freerein.data.meta import WriterLock
-from freerein.errors import NotFound
+from freerein.errors import FailedPrecondition, NotFound
 
 _CACHED = "*.raw*"
 """Files of `freerein.data.cache`, and those that killed processes were building."""
@@ -59,15 +60,24 @@ def prune(datasets: Path) -> int:
 
 @contextmanager
 def _unwritten(root: Path) -> Iterator[None]:
-    """Keeps writers out of a dataset; a link is replaced without a look at where it leads."""
-    if root.is_symlink():
-        yield
-    elif root.is_dir():
-        with closing(WriterLock(root)):
-            yield
-    else:
+    """Keeps writers of a dataset and of its labels out; a link goes without a look at where it leads."""
+    if not root.is_symlink() and not root.is_dir():
         raise NotFound(
             "The dataset must be in the data directory; there is none of that name.",
             field="dataset",
             hint="`freerein dataset list` names all.",
         )
+    with ExitStack() as held:
+        for folder in () if root.is_symlink() else (root, root / labels.FOLDER):
+            if folder.is_dir():
+                held.enter_context(closing(_locked(folder, root.name)))
+        yield
+
+
+def _locked(folder: Path, name: str) -> WriterLock:
+    try:
+        return WriterLock(folder)
+    except FailedPrecondition:
+        raise FailedPrecondition(
+            f"The dataset {name} must not be in use; a process writes it.", field="dataset", hint="Wait for its end."
+        ) from None

@@ -5,6 +5,7 @@ from typing import Any
 
 import typer
 
+from freerein.cli.jobs.ids import short
 from freerein.types.common import ModelRef
 from freerein.types.learning import Fit
 from freerein.types.orchestrator import Run
@@ -25,14 +26,14 @@ def after_fit(service: str, fit: Fit) -> list[str]:
 
 def after_run(run: Run) -> list[str]:
     """Returns commands for what a run has made."""
-    config = run.config
+    config, run_id = run.config, short(run.id)
     match run.kind:
         case "ppo":
             return [
-                _evaluate(str(config["task"]), f'{{"run": "{run.id}"}}'),
-                f"freerein runs resume {run.id} --iterations {config['iterations']} --watch  # trains it on",
-                f"freerein models publish {run.id} --name NAME  # serves it by name",
-                f"freerein runs artifacts {run.id} policy.mp4  # shows what it does",
+                _evaluate(str(config["task"]), f'{{"run": "{run_id}"}}'),
+                f"freerein runs resume {run_id} --iterations {config['iterations']} --watch  # trains it on",
+                f"freerein models publish {run_id} --name NAME  # serves it by name",
+                f"freerein runs artifacts {run_id} policy.mp4  # shows what it does",
             ]
         case "collect":
             name = config["dataset"]
@@ -45,7 +46,7 @@ def after_run(run: Run) -> list[str]:
         case "distill":
             return [f"freerein act --model {config['model_name']} --image IMAGE.png --goal-text 'TEXT'"]
         case _:
-            return [f"freerein runs artifacts {run.id}  # what it has made"]
+            return [f"freerein runs artifacts {run_id}  # what it has made"]
 
 
 def _with_model(service: str, model: ModelRef, dataset: str, config: Mapping[str, Any]) -> list[str]:
