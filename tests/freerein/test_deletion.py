@@ -103,7 +103,7 @@ def test_what_a_killed_deletion_left_is_listed_nowhere_and_goes_with_the_next(tm
     store, runs = ModelStore(tmp_path / "models"), JobStore(tmp_path / "runs", noun="run")
     left, deleted = published(tmp_path, "a"), published(tmp_path, "b")
     store.folder(left).rename(tmp_path / "models" / "tiny" / ".deleted-0")
-    assert [model.ref for model in store.models()] == [deleted]
+    assert [model.ref for model in store.models()] == [deleted] == list(store.published("tiny"))
     run_id, other = (job(tmp_path, "runs", {}) for _ in "ab")
     runs.folder(run_id).rename(tmp_path / "runs" / ".deleted-0")
     assert runs.page(0, "") == ([other], "")

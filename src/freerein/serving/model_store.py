@@ -85,9 +85,10 @@ class ModelStore:
             FailedPrecondition: All of them came with freerein.
         """
         check_name(name, field="name")
-        wanted = check_name(version, field="version") if version else "*"
-        found = sorted(path.parent.name for path in (self._root / name).glob(f"{wanted}/{MANIFEST}"))
-        if found:
+        if version:
+            check_name(version, field="version")
+        folders = [path for path in _folders(self._root / name) if (path / MANIFEST).is_file()]
+        if found := sorted(path.name for path in folders if version in ("", path.name)):
             return tuple(ModelRef(name, each) for each in found)
         if any(model.ref.name == name and version in ("", model.ref.version) for model in self.models()):
             raise FailedPrecondition(
