@@ -117,7 +117,7 @@ class LocalQueue:
             self._changed.wait_for(lambda: self._running != job_id or not self._store.last(job_id).ended, _CANCEL_S)
             state = self._store.last(job_id).state
             if state not in ENDED:
-                raise self._store.not_ended(state)
+                raise self._store.not_ended(job_id, state)
             if self._running == job_id:
                 raise self._store.still_ending()
             self._store.delete(job_id)

@@ -156,10 +156,10 @@ class JobStore:
         if self._links is not None:
             remove_broken(self._links)
 
-    def not_ended(self, state: JobState) -> FailedPrecondition:
+    def not_ended(self, job_id: str, state: JobState) -> FailedPrecondition:
         """Returns the error of a job that cannot be deleted yet."""
         return FailedPrecondition(
-            f"A {self.noun} to delete must have ended; this one is {state}.",
+            f"A {self.noun} to delete must have ended; {job_id[:8]} is {state}.",
             field="id",
             hint="Cancel it, or wait for its end.",
         )

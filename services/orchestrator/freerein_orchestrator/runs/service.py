@@ -241,7 +241,7 @@ class RunService:
             with self._store.lock(request.id):
                 state = self._database_state(request.id)
                 if state not in ENDED:
-                    raise self._store.not_ended(state)
+                    raise self._store.not_ended(request.id, state)
                 self._store.delete(request.id)
             self._queue.delete(request.id)
 

@@ -48,7 +48,12 @@ from freerein.types.learning import (
     StartFitRequest,
 )
 
-app = typer.Typer(help="Fits of models.", no_args_is_help=True, add_completion=False)
+app = typer.Typer(
+    help="Fits of models.",
+    epilog="`freerein fit segmentation --help` has the keys of --set; so has the help of imitation and reward.",
+    no_args_is_help=True,
+    add_completion=False,
+)
 
 _Service = Annotated[str, typer.Option(help="Service that fits; all when empty.")]
 _Id = Annotated[
