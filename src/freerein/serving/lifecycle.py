@@ -152,10 +152,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
     )
     rest = asyncio.create_task(http_server.serve(sockets=[listener]))
     await grpc_server.server.start()
-    http_port = listener.getsockname()[1]
-    _log.info("listening", extra={"host": settings.host, "http_port": http_port, "grpc_port": grpc_port})
-    sys.stdout.write(json.dumps({"service": service.name, "http_port": http_port, "grpc_port": grpc_port}) + "\n")
-    sys.stdout.flush()
+    _say_ports(service.name, settings.host, http_port=listener.getsockname()[1], grpc_port=grpc_port)
     health_reporter = asyncio.create_task(grpc_server.report_health())
     warm_up = asyncio.create_task(_warm_up(service, http_server, health))
     code = await _wait_for_drain(service, http_server, health)
@@ -168,6 +165,12 @@ async def _serve(settings: S, build: Build[S]) -> int:
     await service.close()
     _log.info("stopped")
     return code
+
+
+def _say_ports(name: str, host: str, **ports: int) -> None:
+    _log.info("listening", extra={"host": host, **ports})
+    sys.stdout.write(json.dumps({"service": name, **ports}) + "\n")
+    sys.stdout.flush()
 
 
 def _limits(settings: ServiceSettings) -> Limits:

@@ -25,8 +25,8 @@ class ServiceSettings(EnvironmentVariables):
             8101, imitation 8102, reward 8103, sim 8104.
         grpc_port: Port of the gRPC server; 0 for a free one, unset for the service's own: 9100 to 9104 in that order.
         port_base: Where default ports begin: REST ports are the five from it on, gRPC ports those 1000 above.
-        token: Bearer token that every call except health checks and the page `/docs` must carry, printable ASCII without
-            spaces; unset for none.
+        token: Bearer token that every call except health checks and the page `/docs` must carry, printable ASCII
+            without spaces; unset for none.
         tls_cert: PEM file with the certificate chain; with `tls_key`, REST and gRPC use TLS.
         tls_key: PEM file with the private key.
         insecure: Allows a bind beyond loopback without token and TLS.
