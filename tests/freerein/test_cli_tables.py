@@ -45,3 +45,15 @@ def test_letters_of_double_width_are_aligned() -> None:
 def test_a_column_without_anything_in_it_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
     show_table(("run", "model", "error"), [("8bc1f7a2", "", "")], last="cut")
     assert capsys.readouterr().out.split() == ["run", "8bc1f7a2"]
+
+
+def test_numbers_that_do_not_fit_are_left_out_whole_and_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    for name, value in {"TERM": "dumb", "COLUMNS": "30", "LINES": "9"}.items():
+        monkeypatch.setenv(name, value)
+    show_table(("step", "episode_return", "entropy", "lr"), [("1", "0.5", "1.25", "0.001")], last="left out")
+    printed = capsys.readouterr()
+    assert printed.out.split() == ["step", "episode_return", "entropy", "1", "0.5", "1.25"]
+    assert "terminal: lr." in printed.err

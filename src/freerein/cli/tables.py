@@ -2,17 +2,20 @@
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import accumulate
 from textwrap import wrap
 from typing import Literal
 
+import typer
 from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
 from freerein.cli.output import print_json
 
-LastColumn = Literal["whole", "cut", "wrapped"]
-"""What becomes of a last column that is too wide for the terminal; it is cut and wrapped between words."""
+LastColumn = Literal["whole", "cut", "wrapped", "left out"]
+"""What becomes of a last column that is too wide for the terminal: it is cut or wrapped between words, or left out with
+others before it, and named below."""
 
 _GAP = "  "
 _CUT = " …"
@@ -40,12 +43,15 @@ def show_table(columns: Sequence[str], rows: Iterable[Sequence[str]], *, last: L
     table = [list(row) for row in rows]
     shown = [place for place, name in enumerate(columns) if not table or any(row[place] for row in table)]
     width = Console().width if sys.stdout.isatty() else None
-    if shown[-1:] != [len(columns) - 1]:
-        last = "whole"
-    lines = table_lines([[row[place] for place in shown] for row in [columns, *table]], width=width, last=last)
+    if last == "cut" and shown[-1:] != [len(columns) - 1]:
+        last = "whole"  # what is last now may be a name
+    whole = [[row[place] for place in shown] for row in [columns, *table]]
+    count = _fitting(whole, width) if last == "left out" and width is not None else len(shown)
     console = Console(soft_wrap=True, highlight=False)
-    for number, line in enumerate(lines):
+    for number, line in enumerate(table_lines([row[:count] for row in whole], width=width, last=last)):
         console.print(Text(line, "bold" if number == 0 else ""))
+    if left_out := whole[0][count:]:
+        typer.echo(f"Too wide for the terminal: {', '.join(left_out)}. --json has all.", err=True)
 
 
 def table_lines(table: Sequence[Sequence[str]], *, width: int | None, last: LastColumn) -> list[str]:
@@ -66,9 +72,15 @@ def table_lines(table: Sequence[Sequence[str]], *, width: int | None, last: Last
     return lines
 
 
+def _fitting(table: Sequence[Sequence[str]], width: int) -> int:
+    """Returns how many of the first columns fit a terminal, at least two."""
+    widths = [max(map(cell_len, cells)) + len(_GAP) for cells in zip(*table, strict=True)]
+    return max(2, sum(total - len(_GAP) <= width for total in accumulate(widths)))
+
+
 def _fitted(text: str, width: int | None, last: LastColumn) -> list[str]:
     """Returns the lines of a cell of the last column."""
-    if not text or width is None or last == "whole" or cell_len(text) <= width:
+    if not text or width is None or last in ("whole", "left out") or cell_len(text) <= width:
         return [text]
     room = max(width, _LEAST_WIDTH) if last == "wrapped" else max(width - len(_CUT), 1)
     parts = wrap(text, room, break_long_words=False, break_on_hyphens=False)

@@ -92,7 +92,7 @@ def _numbers(text: str) -> npt.NDArray[np.float32]:
 
 def _show_answer(answer: ActResponse) -> None:
     rows = [(str(step), ", ".join(f"{number:.4g}" for number in action)) for step, action in enumerate(answer.actions)]
-    show_table(("step", "action"), rows)
+    show_table(("step", "action"), rows, last="wrapped")
     if answer.done == "yes":
         reached = "done: reached" if answer.done_by == "policy" else "done: the step limit ended it"
     else:

@@ -157,7 +157,7 @@ def _show(answer: RewardResponse) -> None:
             zip(answer.rewards, answer.similarities, answer.winners, strict=True)
         )
     ]
-    show_table(("frame", "reward", "similarity", "fits best"), rows)
+    show_table(("frame", "reward", "similarity", "fits best"), rows, last="wrapped")
     typer.echo(f"{len(rows)} frames, model {answer.model.name} {answer.model.version}")
     if answer.unknown:
         typer.echo(f"The model does not know {', '.join(answer.unknown)}: the goal is never rewarded.")

@@ -144,7 +144,8 @@ def show_metrics(rows: Sequence[MetricRow], *, as_json: bool) -> None:
     """Prints rows of metrics."""
     names = by_relevance({name for row in rows for name in row.metrics})
     cells = ([str(row.step), *(f"{row.metrics[n]:.6g}" if n in row.metrics else "" for n in names)] for row in rows)
-    show_all(("step", *names), cells, ({"step": row.step, **row.metrics} for row in rows), as_json=as_json)
+    documents = ({"step": row.step, **row.metrics} for row in rows)
+    show_all(("step", *names), cells, documents, as_json=as_json, last="left out")
 
 
 def _state_line(name: str, job: Job, seconds_left: float | None) -> RenderableType:
