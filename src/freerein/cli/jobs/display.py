@@ -36,7 +36,7 @@ INTERRUPTED = 130
 
 _REDRAW_S = 0.1
 _CURVES, _CURVE_LINES, _BAR_WIDTH = 4, 2, 30
-_MIN_WIDTH, _MAX_WIDTH, _LABELS_WIDTH = 10, 60, 50
+_MIN_WIDTH, _MAX_WIDTH, _SPAN_WIDTH = 10, 60, 24
 _COLOURS = {"running": "cyan", "succeeded": "green", "failed": "red", "cancelled": "yellow"}
 
 
@@ -128,15 +128,18 @@ def draw(name: str, progress: JobProgress, metrics: Sequence[str] | None = None,
     """Returns the state of a fit or run, with the curves of `metrics` or of the most relevant ones below."""
     if progress.job is None:
         return Text(f"{name}  …", style="bold")
-    state = _state_line(name, progress.job, progress.seconds_left)
+    state = _state_line(name, progress.job, progress.seconds_left, width=width)
     if progress.job.error:
         state = Group(state, Text(progress.job.error, "yellow"))
+    shown = progress.curves(metrics, most=_CURVES)
     curves = Table.grid(padding=(0, 2, 1, 0))
-    plot_width = min(_MAX_WIDTH, max(_MIN_WIDTH, width - _LABELS_WIDTH))
-    for metric, values in progress.curves(metrics, most=_CURVES).items():
+    plot_width = min(_MAX_WIDTH, max(_MIN_WIDTH, width - max(map(len, shown), default=0) - _SPAN_WIDTH))
+    for metric, values in shown.items():
         drawn = "\n".join(plot(values, width=plot_width, height=_CURVE_LINES))
         span = f"\n{min(values):.4g} to {max(values):.4g}"
-        curves.add_row(metric, Text(drawn, "cyan"), Text.assemble((f"{values[-1]:.4g}", "bold"), (span, "dim")))
+        curves.add_row(
+            Text(metric, no_wrap=True), Text(drawn, "cyan"), Text.assemble((f"{values[-1]:.4g}", "bold"), (span, "dim"))
+        )
     return Group(state, curves) if curves.row_count else state
 
 
@@ -148,10 +151,13 @@ def show_metrics(rows: Sequence[MetricRow], *, as_json: bool) -> None:
     show_all(("step", *names), cells, documents, as_json=as_json, last="left out")
 
 
-def _state_line(name: str, job: Job, seconds_left: float | None) -> RenderableType:
-    bar = ProgressBar(total=job.steps or None, completed=job.step, width=_BAR_WIDTH)
+def _state_line(name: str, job: Job, seconds_left: float | None, *, width: int) -> RenderableType:
     left = "" if seconds_left is None else f"{duration(seconds_left)} left"
+    texts = (name, job.state, steps_text(job), left)
+    room = width - sum(map(len, texts)) - 2 * len(texts)
+    bar = ProgressBar(total=job.steps or None, completed=job.step, width=min(_BAR_WIDTH, max(_MIN_WIDTH, room)))
+    styles = ("bold", _COLOURS.get(job.state, ""), "", "")
+    before, state, steps, after = (Text(text, style, no_wrap=True) for text, style in zip(texts, styles, strict=True))
     line = Table.grid(padding=(0, 2))
-    state = Text(job.state, _COLOURS.get(job.state, ""))
-    line.add_row(Text(name, "bold", no_wrap=True), state, bar, steps_text(job), Text(left))
+    line.add_row(before, state, bar, steps, after)
     return line
