@@ -84,13 +84,25 @@ def test_the_time_left_follows_from_the_pace_since_it_is_watched() -> None:
 
 def test_the_picture_shows_how_it_stands_and_a_curve_for_each_metric() -> None:
     console = Console(file=io.StringIO(), width=60, color_system=None)
-    console.print(draw("run 1234", _progress(4, 5, 6), width=60))
+    console.print(draw("run 1234", _progress(4, 5, 6), width=48))
     lines = [line.split() for line in console.file.getvalue().splitlines()]
 
     assert [*lines[0][:3], *lines[0][-4:]] == ["run", "1234", "running", "6/10", "8", "s", "left"]
     assert lines[1] == ["episode_return", "⠀⠀⠀⠀⠀⣀⡠⠔⠒⠉", "6"]
     assert lines[2] == ["⣀⠤⠔⠊⠉⠀⠀⠀⠀⠀", "4", "to", "6"]
     assert [line[0] for line in lines[3:] if line] == ["entropy", "⠉⠉⠉⠉⠉⠉⠉⠉⠉⠉"]
+
+
+def test_the_picture_cuts_no_name_and_fits_a_terminal_of_80_columns() -> None:
+    progress, name = JobProgress(), "rollout/a_long_name_of_what_is_measured"
+    for moment, step in enumerate((100_000, 100_001, 100_002)):
+        run = replace(_RUN, step=step, steps=1_000_000, metrics={name: 1.0})
+        progress.add(run, at_s=2.0 * moment)
+    console = Console(file=io.StringIO(), width=80, color_system=None)
+    console.print(draw("run 12345678", progress, width=80))
+    first, *curves = console.file.getvalue().splitlines()
+    assert (first.split()[:2], first.split()[-5:]) == (["run", "12345678"], ["20", "days", "19", "h", "left"])
+    assert curves[0].startswith(f"{name} ")
 
 
 class Flaky:
