@@ -1,4 +1,4 @@
-"""`freerein fit`: start, list, watch, report, cancel and resume fits; their metrics."""
+"""`freerein fit`: start, list, watch, report, cancel, resume and delete fits; their metrics."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence

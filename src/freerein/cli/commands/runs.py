@@ -1,4 +1,4 @@
-"""`freerein runs`: start, list, watch, cancel and resume runs; their metrics and artifacts."""
+"""`freerein runs`: start, list, watch, cancel, resume and delete runs; their metrics and artifacts."""
 
 import os
 import sys
