@@ -116,14 +116,10 @@ def unpack(source: object, cls: type[T], *, path: str = "") -> T:
     return cls(**values)
 
 
-def base64_parts(raw: Any) -> list[bytes]:
-    """Returns bytes, uint8 (N) or `bytes`, as parts of one text in base64."""
-    return [base64.b64encode(raw[at : at + _BASE64_BYTES]) for at in range(0, len(raw), _BASE64_BYTES)]
-
-
 def base64_text(raw: Any) -> str:
-    """Returns bytes, as of `base64_parts`, as base64."""
-    return b"".join(base64_parts(raw)).decode("ascii")
+    """Returns bytes, `bytes` or uint8 (N), as base64."""
+    parts = (raw[at : at + _BASE64_BYTES] for at in range(0, len(raw), _BASE64_BYTES))
+    return "".join([base64.b64encode(part).decode("ascii") for part in parts])
 
 
 def tensor_json(array: "np.ndarray[Any, Any]", *, write_bytes: Callable[[Any], str] = base64_text) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import orjson
+from pybase64 import b64encode  # six times as fast as Python's
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
@@ -13,6 +14,7 @@ from freerein.serving.rest import tensor_lists
 
 _LARGE_BYTES = 2**20
 _PIECE_BYTES = 256 * 1024
+_PART_BYTES = _PIECE_BYTES // 4 * 3  # a piece as base64
 
 
 def json_parts(response: object, *, as_lists: bool) -> list[bytes]:
@@ -22,7 +24,7 @@ def json_parts(response: object, *, as_lists: bool) -> list[bytes]:
     def write_bytes(raw: Any) -> str:
         if len(raw) < _LARGE_BYTES:
             return wire.base64_text(raw)
-        large.append(wire.base64_parts(raw))
+        large.append([b64encode(raw[at : at + _PART_BYTES]) for at in range(0, len(raw), _PART_BYTES)])
         return mark
 
     to_json = tensor_lists.reply_json if as_lists else wire.to_json
