@@ -74,7 +74,7 @@ def build(data_dir: Path, health: Health, publish: Callable[..., Any]) -> Servic
 
     for name in ("", "grounding"):
         publish(data_dir / "models" / "reward", name)
-    settings = RewardSettings(data_dir=data_dir, shipped_dir=data_dir / "shipped")
+    settings = RewardSettings(data_dir=data_dir, shipped_dir=data_dir / "none")
     return build(settings, Limits(), Metrics(), health, load=load)
 
 

@@ -176,7 +176,10 @@ def test_after_sigkill_it_has_its_models_and_resumes_its_fit(
     assert resumed["step"] > reached["step"] - 2 * CHECKPOINT_EVERY  # a new start would begin at 1
     moved_on = {"step": 0, "metrics": 0, "time_ns": 0}
     assert {**resumed, **moved_on} == {**reached, **moved_on}
+    assert second.metric('freerein_jobs{kind="fit",state="running"}') == 1
     assert second.http.post("/v1/cancel-fit", json={"id": fit_id}).json()["fit"]["state"] == "cancelled"
+    assert second.metric('freerein_jobs{kind="fit",state="cancelled"}') == 1
+    assert second.metric("freerein_data_free_bytes") > 0
     assert second.jobs == []
 
 

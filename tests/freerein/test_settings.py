@@ -130,6 +130,7 @@ def test_the_spellings_that_people_use_are_understood(monkeypatch: pytest.Monkey
         "CORS_ORIGINS": "http://localhost:3000/, https://robots.example",
     }
     monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "models").mkdir()
     for variable, value in spelled.items():
         monkeypatch.setenv(f"FREEREIN_{variable}", value)
     settings = LearnedSettings()
@@ -230,6 +231,14 @@ def test_the_known_variables_are_those_that_settings_compose_and_tests_have() ->
     tests = {"FUZZ", "SOAK_MINUTES", "TESTS_FORK_SERVER"}
     assert set(KNOWN) == settings | {*compose} | tests
     assert len(set(KNOWN)) == len(KNOWN)
+
+
+def test_a_folder_of_shipped_models_that_is_missing_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREEREIN_SHIPPED_DIR", "modles")
+    with pytest.raises(ValidationError, match="FREEREIN_SHIPPED_DIR must be a folder, or `none`"):
+        LearnedSettings()
+    monkeypatch.setenv("FREEREIN_SHIPPED_DIR", "none")
+    assert LearnedSettings().shipped_dir == Path("none")
 
 
 def test_a_data_directory_that_cannot_be_made_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

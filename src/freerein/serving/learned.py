@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from google.protobuf.descriptor import ServiceDescriptor
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from freerein.api.learning.v1 import learning_pb2
 from freerein.fork_server import StartChild, spawn
@@ -23,6 +23,7 @@ from freerein.serving.settings import ServiceSettings
 from freerein.types.common import ModelRef
 
 Model = TypeVar("Model")
+_NO_FOLDER = "none"
 
 
 class LearnedSettings(ServiceSettings):
@@ -31,12 +32,18 @@ class LearnedSettings(ServiceSettings):
     Attributes:
         device: Device of the models: `auto`, `cpu` or `cuda:N`.
         train_threads: Default number of threads of a fit; small networks are as fast on one as on two.
-        shipped_dir: Folder of the shipped models; unset for `models/` of the clone.
+        shipped_dir: Folder of the shipped models, `none` for none; unset for `models/` of the clone.
     """
 
     device: str = Field(default="auto", pattern=r"^(auto|cpu|cuda:\d+)$")
     train_threads: int = Field(default=1, ge=1, le=256)
     shipped_dir: Path | None = None
+
+    @model_validator(mode="after")
+    def _check_shipped_dir(self) -> Self:
+        if self.shipped_dir and self.shipped_dir.name != _NO_FOLDER and not self.shipped_dir.is_dir():
+            raise ValueError(f"FREEREIN_SHIPPED_DIR must be a folder, or `{_NO_FOLDER}`; there is none of that name")
+        return self
 
 
 def open_store(name: str, settings: LearnedSettings) -> ModelStore:
