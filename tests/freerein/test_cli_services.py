@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -61,13 +62,13 @@ def environ(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.fixture
-def tiny(tmp_path: Path, environ: dict[str, str], reserve_ports: Any) -> Callable[[str], Stack]:
+def tiny(tmp_path: Path, environ: dict[str, str], reserve_ports: Any) -> Callable[..., Stack]:
     """A function that makes a stack of one service from its source."""
 
-    def make(source: str) -> Stack:
+    def make(source: str, policy: RestartPolicy = _HASTY) -> Stack:
         (tmp_path / "tiny.py").write_text(source)
         ports = reserve_ports(["sim"])
-        return Stack({"sim": "tiny"}, data_dir=tmp_path, environ=environ, ports=ports, policy=_HASTY)
+        return Stack({"sim": "tiny"}, data_dir=tmp_path, environ=environ, ports=ports, policy=policy)
 
     return make
 
@@ -133,8 +134,9 @@ async def test_an_address_that_the_environment_sets_is_what_services_are_told(
     assert _log(tmp_path) == [replicas or stack.addresses["sim"]]
 
 
-async def test_a_service_that_keeps_crashing_is_given_up(tiny: Callable[[str], Stack]) -> None:
-    async with tiny(_CRASHING) as stack:
+@pytest.mark.parametrize("window_s", [600.0, 0.0])  # however long its starts take
+async def test_a_service_that_keeps_crashing_is_given_up(tiny: Callable[..., Stack], window_s: float) -> None:
+    async with tiny(_CRASHING, replace(_HASTY, window_s=window_s)) as stack:
         status = await _until(stack, lambda status: status.has_failed)
 
     assert status.state == "given up"

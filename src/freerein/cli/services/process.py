@@ -62,7 +62,7 @@ class RestartPolicy:
     Attributes:
         first_delay_s: Delay before the first restart; it doubles with each further one.
         longest_delay_s: Upper bound of the delay.
-        crashes: Number of crashes within `window_s` after which the service is given up.
+        crashes: Number of crashes within `window_s`, or without having been ready, after which the service is given up.
         window_s: Length of that window in seconds.
     """
 
@@ -110,6 +110,7 @@ class ServiceProcess:
         self._client = client
         self._on_change = on_change
         self._crashes: deque[float] = deque(maxlen=policy.crashes)
+        self._crashes_unready = 0  # a slow start may take longer than the window allows
 
     async def run(self) -> None:
         """Keeps the service running until it has failed; drains it when cancelled."""
@@ -123,6 +124,7 @@ class ServiceProcess:
         while True:
             code = await self._run_once()
             self._crashes.append(time.monotonic())
+            self._crashes_unready += 1
             reason = f"It was killed by signal {-code}." if code < 0 else f"It exited with code {code}."
             if code == CONFIGURATION_ERROR:
                 self._change(state="misconfigured", pid=0, reason=_configuration_error(self._command.log))
@@ -167,6 +169,8 @@ class ServiceProcess:
     async def _watch_readiness(self) -> None:
         while True:
             state, reason = await self._readiness()
+            if state == "ready":
+                self._crashes_unready = 0
             self._change(state=state, reason=reason)
             await asyncio.sleep(_POLL_WHEN_READY_S if state == "ready" else _POLL_S)
 
@@ -195,7 +199,8 @@ class ServiceProcess:
 
     def _has_crashed_too_often(self) -> bool:
         is_full = len(self._crashes) == self._policy.crashes
-        return is_full and self._crashes[-1] - self._crashes[0] <= self._policy.window_s
+        in_window = is_full and self._crashes[-1] - self._crashes[0] <= self._policy.window_s
+        return in_window or self._crashes_unready >= self._policy.crashes
 
     def _delay_s(self) -> float:
         recent = sum(self._crashes[-1] - crash <= self._policy.window_s for crash in self._crashes)
