@@ -7,6 +7,7 @@ from freerein.errors import NotFound
 
 EXPERIMENTS = (
     "development",
+    "confirmation",
     "table_2_1",
     "table_2_2",
     "table_2_3",

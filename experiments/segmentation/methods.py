@@ -45,6 +45,11 @@ def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tupl
     return tuple(Method(name, contexts, {"objective": name}) for name in names)
 
 
+def at_every_timestep(*names: str) -> tuple[Method, ...]:
+    """Returns causal objectives whose network sees each timestep in one sequence, whatever the others' stride is."""
+    return tuple(Method(f"{name}_stride-1", (CAUSAL,), {"objective": name, "stride": 1}) for name in names)
+
+
 def lse_as_published() -> Method:
     """Returns the dissertation's method with its own learning rate and batch size."""
     return Method("lse_as_published", (CAUSAL,), {"objective": "lse", "lr": 1e-4, "batch_size": 64})
