@@ -5,8 +5,7 @@ import hashlib
 import itertools
 import os
 import signal
-import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +15,12 @@ import psutil
 import pytest
 import pytest_asyncio
 
-from freerein.cli.services import RestartPolicy, Stack
 from freerein.clients import Channel, OrchestratorClient
 from freerein.errors import Unavailable
 from freerein.types.orchestrator import GetArtifactRequest, Run, RunKind, StartRunRequest, WatchRunRequest
 
 pytestmark = [pytest.mark.e2e, pytest.mark.asyncio(loop_scope="module")]
-HERE = Path(__file__).parent
-MODULES = {"sim": "freerein_sim", "reward": "faulty_reward", "orchestrator": "freerein_orchestrator"}
+MODULES = {"sim": "freerein_sim", "reward": "tests.faults.faulty_reward", "orchestrator": "freerein_orchestrator"}
 TINY = {
     "task": "grid",
     "goal_text": "more",
@@ -50,9 +47,10 @@ DISTILL = list(itertools.product(("sim", "imitation", "child", "orchestrator", "
 
 @dataclass(frozen=True)
 class Running:
-    """The services, and their processes by name."""
+    """The services by name, and what starts one again at its address."""
 
-    stack: Stack
+    services: dict[str, Any]
+    start_again: Callable[[str], Any]
     client: OrchestratorClient
     data_dir: Path
 
@@ -88,52 +86,42 @@ class Running:
         parts = [part.data async for part in self.client.get_artifact(GetArtifactRequest(run_id, POLICY))]
         return hashlib.sha256(b"".join(parts)).hexdigest()
 
-    def pids(self, victim: str) -> list[int]:
-        pids = {status.service: status.pid for status in self.stack.statuses}
-        if victim == "child":
-            descendants = psutil.Process(pids["orchestrator"]).children(recursive=True)
-            return [each.pid for each in descendants if each.name() == "orchestrator.runs"[:15]]
-        return list(pids.values()) if victim == "all" else [pids[victim]]
-
     def kill(self, victim: str) -> None:
-        killed = self.pids(victim)
-        assert killed
-        for pid in killed:
-            os.kill(pid, signal.SIGKILL)
-
-
-async def until(folder: Path, pattern: str, count: int) -> None:
-    """Waits until a folder has this many files of a pattern."""
-    begun = time.monotonic()
-
-    def wait() -> None:
-        while len(list(folder.glob(pattern))) < count:
-            assert time.monotonic() - begun < TIMEOUT_S
-            time.sleep(0.001)
-
-    await asyncio.to_thread(wait)
+        """Kills the child of the orchestrator, or services, which it starts again."""
+        if victim == "child":
+            descendants = psutil.Process(self.services["orchestrator"].process.pid).children(recursive=True)
+            (child,) = (each.pid for each in descendants if each.name() == "orchestrator.runs"[:15])
+            os.kill(child, signal.SIGKILL)
+            return
+        killed = list(self.services) if victim == "all" else [victim]
+        for name in killed:
+            self.services[name].kill()
+        for name in killed:
+            self.services[name].process.wait(60)
+            self.services[name] = self.start_again(name)
 
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
 async def running(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, reserve_ports: Any
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+    reserve_ports: Any,
+    start_module_service: Callable[..., Any],
 ) -> AsyncIterator[Running]:
     distils = any("student" in item.fixturenames for item in request.session.items)
     modules = {**MODULES, "imitation": "freerein_imitation"} if distils else MODULES
     data_dir, ports = tmp_path_factory.mktemp("matrix"), reserve_ports(modules)
-    mine = {
-        "PYTHONPATH": os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH")))),
-        "FREEREIN_SHIPPED_DIR": "none",
-        "FREEREIN_SIM_WORKERS": "1",
-    }
+    mine = {f"FREEREIN_{name.upper()}_ADDRESS": f"127.0.0.1:{each.grpc}" for name, each in ports.items()}
+    mine |= {"FREEREIN_SHIPPED_DIR": "none", "FREEREIN_SIM_WORKERS": "1"}
     (data_dir / "lies").write_text("slow 1000000")  # so that there is time to kill somebody
-    environ = {**os.environ, **mine, "OMP_NUM_THREADS": "1"}
-    policy = RestartPolicy(crashes=1000)
-    async with (
-        Stack(modules, data_dir=data_dir, environ=environ, ports=ports, policy=policy) as stack,
-        OrchestratorClient(Channel(stack.addresses["orchestrator"])) as client,
-    ):
-        yield Running(stack, client, data_dir)
+
+    def start(name: str) -> Any:
+        at = {"FREEREIN_HTTP_PORT": str(ports[name].rest), "FREEREIN_GRPC_PORT": str(ports[name].grpc)}
+        return start_module_service(modules[name], data_dir, **mine, **at)
+
+    services = {name: start(name) for name in modules}
+    async with OrchestratorClient(Channel(services["orchestrator"].address)) as client:
+        yield Running(services, start, client, data_dir)
 
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
@@ -151,11 +139,12 @@ async def undisturbed(running: Running) -> str:
 @pytest.mark.fault("G5")
 @pytest.mark.parametrize(("victim", "moment"), PPO)
 async def test_a_killed_ppo_run_ends_with_the_same_policy(
-    running: Running, undisturbed: str, victim: str, moment: str
+    running: Running, undisturbed: str, wait_until: Any, victim: str, moment: str
 ) -> None:
     run_id = await running.start("ppo", TINY, f"ppo-{victim}-{moment}")
     checkpoints = running.data_dir / "runs" / run_id / "checkpoints"
-    await until(checkpoints, "step-*", 2 if moment == "collecting" else 3)  # the first is from before the first
+    count = 2 if moment == "collecting" else 3  # the first is from before the first iteration
+    await asyncio.to_thread(wait_until, lambda: len(list(checkpoints.glob("step-*"))) >= count, TIMEOUT_S)
     running.kill(victim)
     ended = await running.end(run_id)
     assert (ended.state, ended.step) == ("succeeded", TINY["iterations"]), ended.error
@@ -197,11 +186,12 @@ def distilled(teacher: str, name: str) -> dict[str, Any]:
 @pytest.mark.long
 @pytest.mark.parametrize(("victim", "moment"), DISTILL)
 async def test_a_killed_distillation_ends_with_the_same_student(
-    running: Running, undisturbed: str, student: str, victim: str, moment: str
+    running: Running, undisturbed: str, student: str, wait_until: Any, victim: str, moment: str
 ) -> None:
     run_id = await running.start("distill", distilled(undisturbed, f"{victim}-{moment}"), f"distill-{victim}-{moment}")
     if moment == "collecting":
-        await until(running.data_dir / "runs" / run_id / "rollouts" / "data", "**/*.parquet", 2)
+        data = running.data_dir / "runs" / run_id / "rollouts" / "data"
+        await asyncio.to_thread(wait_until, lambda: len(list(data.glob("**/*.parquet"))) >= 2, TIMEOUT_S)
     else:
         await running.reached(run_id, ROLLOUTS + 1)
     running.kill(victim)
