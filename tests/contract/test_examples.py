@@ -17,7 +17,7 @@ from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein.serving.rest.examples import JOB, SESSION, example_parts
+from freerein.serving.rest.examples import ID, JOB, example_parts
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 SIM = ("Reset", "Step", "Render", "Snapshot", "Restore", "DrawRecipes", "Check", "ExpertActions", "CloseSession")
@@ -163,6 +163,6 @@ async def test_every_request_of_the_documents_has_an_example_with_a_command(open
                 assert f"http://service{path}" in operation["description"]
                 required = [each for each in operation.get("parameters", []) if each["name"] == "id"]
                 assert all(each["example"] == JOB for each in required)
-                named = content.get("application/json", {}).get("example", {}).get("session")
-                assert named is None or (named == SESSION and "Replace `session`" in operation["description"])
+                example = content.get("application/json", {}).get("example", {})
+                assert (ID in example.values()) == ("\n\nReplace `" in operation["description"])
         assert json.dumps(document)

@@ -1,7 +1,7 @@
 """Examples of requests, for the OpenAPI document: a fresh installation answers them as they stand.
 
-Those of fits and runs name the one that the example of its start makes, the fit of the dataset that the run records. A
-session must be replaced. The images show a red block to the left of a blue one.
+Those of fits and runs name the one that the example of its start makes, the fit of the dataset that the run records.
+`ID` must be replaced. The images show a red block to the left of a blue one.
 """
 
 import json
@@ -23,8 +23,8 @@ from freerein.serving.rest.tensor_lists import reply_json
 from freerein.types import imitation, learning, orchestrator, reward, segmentation, sim
 from freerein.types.common import Goal, Image, ModelRef, Observation
 
-SESSION = "33aff6d631d05c00849156bc87785527"
-"""Of a simulation: replace it by one that you were given."""
+ID = "33aff6d631d05c00849156bc87785527"
+"""Of a simulation, or a ppo run: replace it by one that you were given."""
 
 BASE_URL = "http://SERVICE"
 """Where the service is, in commands; whoever shows them replaces it."""
@@ -103,7 +103,7 @@ def _scene(height: int = 64, width: int = 64) -> Image:
 
 _REQUESTS: Mapping[type, Callable[[str], object]] = {
     imitation.ActRequest: lambda _: imitation.ActRequest(Observation((_scene(),)), Goal((_scene(),))),
-    imitation.PublishPolicyRequest: lambda _: imitation.PublishPolicyRequest(JOB, "left-of"),
+    imitation.PublishPolicyRequest: lambda _: imitation.PublishPolicyRequest(ID, "left-of"),
     learning.StartFitRequest: lambda service: learning.StartFitRequest(
         _DATASET, _KEY, {"steps": 100, **_FIT.get(service, {})}, _KEY
     ),
@@ -116,7 +116,7 @@ _REQUESTS: Mapping[type, Callable[[str], object]] = {
     learning.ActivateModelRequest: lambda service: learning.ActivateModelRequest(
         **vars(_SHIPPED.get(service, ModelRef("default")))
     ),
-    learning.DeleteModelRequest: lambda _: learning.DeleteModelRequest(_KEY),
+    learning.DeleteModelRequest: lambda _: learning.DeleteModelRequest(_KEY, even_active=True),
     orchestrator.StartRunRequest: lambda _: orchestrator.StartRunRequest(
         "collect", {"task": "grid", "count": 10, "dataset": _DATASET}, _KEY
     ),
@@ -137,13 +137,13 @@ _REQUESTS: Mapping[type, Callable[[str], object]] = {
     ),
     segmentation.ListSkillsRequest: lambda _: segmentation.ListSkillsRequest(ModelRef("grid")),
     sim.CreateSessionRequest: lambda _: sim.CreateSessionRequest("grid", 2, seed=7, privileged=True),
-    sim.ResetRequest: lambda _: sim.ResetRequest(SESSION, seed=7),
-    sim.StepRequest: lambda _: sim.StepRequest(SESSION, 1, np.array([[1], [2]])),
-    sim.RenderRequest: lambda _: sim.RenderRequest(SESSION),
-    sim.SnapshotRequest: lambda _: sim.SnapshotRequest(SESSION),
-    sim.RestoreRequest: lambda _: sim.RestoreRequest(SESSION, b"what Snapshot returned"),
+    sim.ResetRequest: lambda _: sim.ResetRequest(ID, seed=7),
+    sim.StepRequest: lambda _: sim.StepRequest(ID, 1, np.array([[1], [2]])),
+    sim.RenderRequest: lambda _: sim.RenderRequest(ID),
+    sim.SnapshotRequest: lambda _: sim.SnapshotRequest(ID),
+    sim.RestoreRequest: lambda _: sim.RestoreRequest(ID, b"what Snapshot returned"),
     sim.DrawRecipesRequest: lambda _: sim.DrawRecipesRequest("grid", count=3, seed=7),
-    sim.CheckRequest: lambda _: sim.CheckRequest(SESSION, "completed/pick-red", np.zeros((1, 2, 12))),
-    sim.ExpertActionsRequest: lambda _: sim.ExpertActionsRequest(SESSION),
-    sim.CloseSessionRequest: lambda _: sim.CloseSessionRequest(SESSION),
+    sim.CheckRequest: lambda _: sim.CheckRequest(ID, "completed/pick-red", np.zeros((1, 2, 12))),
+    sim.ExpertActionsRequest: lambda _: sim.ExpertActionsRequest(ID),
+    sim.CloseSessionRequest: lambda _: sim.CloseSessionRequest(ID),
 }

@@ -12,7 +12,7 @@ from freerein.serving.error_replies import PROBLEM_MEDIA_TYPE, TITLES
 from freerein.serving.methods import Method, RestForm, rest_path
 from freerein.serving.rest import pictures, tensor_lists
 from freerein.serving.rest.comments import comment_of
-from freerein.serving.rest.examples import JOB, SESSION, curl_commands, example_of, example_parts
+from freerein.serving.rest.examples import ID, JOB, curl_commands, example_of, example_parts
 from freerein.serving.rest.schemas import STRUCT, schema_of
 
 MEDIA_TYPES: dict[RestForm, str] = {
@@ -150,11 +150,13 @@ def _notes(method: Method, example: Mapping[str, Any]) -> Iterator[str]:
     """Yields what an example needs, and how a stream is read."""
     if method.rest_form == "events":
         yield f"An event stream: {_EVENTS}"
-    if example.get("session") == SESSION:
-        yield "Replace `session` by one that `POST /v1/create-session` returned."
+    if example.get("session") == ID:
+        yield f"Replace `session` by one that `{rest_path('CreateSession')}` returned."
+    elif example.get("run") == ID:
+        yield f"Replace `run` by one of kind `ppo` that has succeeded; `{rest_path('ListRuns')}` lists them."
     elif JOB in example.values():
-        start = rest_path("StartRun") if "Run" in method.name or "run" in example else rest_path("StartFit")
-        yield f"The example names what the example of `{start}` starts."
+        start = "StartFit" if "Fit" in method.name else "StartRun"
+        yield f"The example names what the example of `{rest_path(start)}` starts."
     elif method.name == "StartFit":
         yield f"The example needs the dataset that the example of the orchestrator's `{rest_path('StartRun')}` records."
 
