@@ -35,7 +35,7 @@ SplitName = Literal["train", "validation", "test"]
 SPLITS: tuple[SplitName, ...] = get_args(SplitName)
 """Splits in the order in which they are drawn."""
 
-_LEAST_PER_PROCESS = 8
+_LEAST_PER_PROCESS = 64
 """Trajectories that are worth a process."""
 
 

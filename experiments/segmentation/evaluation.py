@@ -25,9 +25,6 @@ CONFIDENT_ACCURACY = "confident_kept_accuracy"
 TAG_LOSS, GUESSED_TAG_LOSS = "validation_loss", "guessed_validation_loss"
 """Loss of held-out tags: of a network, and of the best scores that are the same for all timesteps."""
 
-DELAY = "delay"
-"""By how many timesteps labels are late, read off actions; see `delay`."""
-
 ACTION_LOSS = "action_loss"
 """Negative log-likelihood of held-out actions given frame and label, in nats per timestep, whatever the labels' source;
 see `freerein_segmentation.training.held_out_action_loss`."""

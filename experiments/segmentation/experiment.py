@@ -8,7 +8,6 @@ import numpy as np
 
 from experiments.segmentation import (
     dataset,
-    delay,
     evaluation,
     report,
     served,
@@ -35,9 +34,6 @@ from freerein_segmentation.training import SegmentationConfig, SegmentationLearn
 
 SHOWN_LABELS = "test.labels"
 """What a network shows: its labels of the first test trajectories."""
-
-DELAY_LOSSES = "delay.action_losses"
-"""What else it shows: see `delay.action_losses`."""
 
 _SHOWN = 4
 _LABELLED: tuple[SplitName, ...] = ("train", "validation")
@@ -191,18 +187,12 @@ def _evaluate(study: Study, arm: Arm, fitted: Fitted, config: SegmentationConfig
         f"test.{PACKED}": pack(labels["test"]),
         f"test.{PACKED_DECODED}": pack(decoded["test"]),
     }
-    training, validation = (
-        dataset.open_split(data, study.data, split, sees_frames=study.sees_frames(arm)) for split in _LABELLED
-    )
-    late = delay.action_losses(fitted.network, training, decoded["train"], validation, decoded["validation"])
-    figures = {
-        evaluation.ACTION_LOSS: _action_loss(study, labels, spec=fitted.network.spec, data=data),
-        evaluation.DELAY: float(np.argmin(late)),
-    }
+    figures = {evaluation.ACTION_LOSS: _action_loss(study, labels, spec=fitted.network.spec, data=data)}
     if arm.method != SUPERVISED:
+        validation = dataset.open_split(data, study.data, "validation")
         tags = np.array([[skill in each for skill in study.data.world.skills] for each in validation.skills])
         figures[evaluation.GUESSED_TAG_LOSS] = round(evaluation.guessed_tag_loss(config, tags), 6)
-    return _joined([*parts, Outcome(figures, {}, {**shown, DELAY_LOSSES: list(late)})])
+    return _joined([*parts, Outcome(figures, {}, shown)])
 
 
 def _action_loss(

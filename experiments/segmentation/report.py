@@ -7,7 +7,7 @@ from functools import partial
 from experiments.segmentation.dataset import SPLITS, SplitName
 from experiments.segmentation.decoded import Decoded
 from experiments.segmentation.delay import moved
-from experiments.segmentation.evaluation import ACTION_LOSS, DECODED_ACCURACY, DELAY, FRAME_ACCURACY
+from experiments.segmentation.evaluation import ACTION_LOSS, DECODED_ACCURACY, FRAME_ACCURACY
 from experiments.segmentation.guesses import TRUTH, in_equal_parts
 from experiments.segmentation.rows import LEAST_GAP, PER_CENT, Row, Rows
 from experiments.segmentation.study import Study
@@ -33,7 +33,6 @@ _ROW_HEADER = (
     "decoded edit",
     "decoded: skills begin late by, timesteps (mean ± s. d.)",
     "decoded, moved by as many as suits `blocks`, %",
-    "as many as suit the actions, %",
     "decoded order in equal parts, %",
     "gap closed, test",
     "action loss, nats",
@@ -195,14 +194,13 @@ def _decoded_cells(rows: Rows, row: Row, development: Rows) -> tuple[str, ...]:
     """Returns how late skills begin, and accuracies of decoded labels that are moved, or of their order alone."""
     decoded, developed = Decoded.of(rows, row), Decoded.of(development, row)
     if decoded is None:
-        return "", "", "", ""
+        return "", "", ""
     mean, deviation = decoded.boundary_error()
-    by_actions = round(rows.mean(row, DELAY))
-    delays = (None if developed is None else developed.best_delay(), by_actions)
-    moved_cells = (
-        "" if by is None else f"{decoded.value(partial(moved, timesteps=by)):.2f} (by {by})" for by in delays
-    )
-    return f"{mean:+.1f} ± {deviation:.1f}", *moved_cells, f"{decoded.value(in_equal_parts):.2f}"
+    moved_cell = ""
+    if developed is not None:
+        by = developed.best_delay()
+        moved_cell = f"{decoded.value(partial(moved, timesteps=by)):.2f} (by {by})"
+    return f"{mean:+.1f} ± {deviation:.1f}", moved_cell, f"{decoded.value(in_equal_parts):.2f}"
 
 
 def _row_cells(rows: Rows, row: Row, made: Sequence[Claim], development: Rows) -> tuple[str, ...]:
