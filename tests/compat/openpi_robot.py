@@ -6,7 +6,11 @@ ADDRESS is that of the service around `faulty_policy`. A frame is 4 x 4 pixels, 
 import json
 import sys
 
+import msgpack
+import msgpack_numpy
 import numpy as np
+import openpi_client.msgpack_numpy
+import websockets.sync.client
 from openpi_client import action_chunk_broker, base_policy, websocket_client_policy
 from openpi_client.runtime import environment, runtime, subscriber
 from openpi_client.runtime.agents import policy_agent
@@ -125,13 +129,50 @@ def try_errors(address):
     return {**errors, "after": listed(policy.infer({"observation/front": frame(0), **goal}))}
 
 
+def speak_like_others(address):
+    """Returns what those meet who send what DROID's or LIBERO's examples send, a prompt, or msgpack-numpy's arrays."""
+    policy = websocket_client_policy.WebsocketClientPolicy(*address)
+    seen, pixels = {"observation/front": frame(0), "goal/front": frame(GOAL)}, np.zeros((224, 224, 3), np.uint8)
+    droid = {
+        "observation/exterior_image_1_left": pixels,
+        "observation/wrist_image_left": pixels,
+        "observation/joint_position": np.zeros(7, np.float32),
+        "observation/gripper_position": np.zeros(1, np.float32),
+        "prompt": "pick up the cup",
+    }
+    libero = {
+        "observation/image": pixels,
+        "observation/wrist_image": pixels,
+        "observation/state": np.zeros(8, np.float32),
+        "prompt": "pick up the cup",
+    }
+    met = {
+        "droid": refused(lambda: policy.infer(droid)),
+        "libero": refused(lambda: policy.infer(libero)),
+        "prompt": policy.infer({**seen, "prompt": "pick up the cup"})["note"],
+    }
+    with websockets.sync.client.connect(
+        f"ws://{address[0]}:{address[1]}/", additional_headers={"Authorization": f"Bearer {address[2]}"}
+    ) as connection:
+        connection.recv()
+        connection.send(msgpack.packb(seen, default=msgpack_numpy.encode))
+        return {**met, "msgpack-numpy": listed(openpi_client.msgpack_numpy.unpackb(connection.recv()))}
+
+
 def main():
     """Prints everything as JSON."""
     host, port = sys.argv[1].split(":")
     address = (host, int(port), sys.argv[2])
     metadata = websocket_client_policy.WebsocketClientPolicy(*address).get_server_metadata()
     sys.stdout.write(
-        json.dumps({"metadata": metadata, "episodes": run_episodes(address), "errors": try_errors(address)})
+        json.dumps(
+            {
+                "metadata": metadata,
+                "episodes": run_episodes(address),
+                "errors": try_errors(address),
+                "others": speak_like_others(address),
+            }
+        )
     )
 
 

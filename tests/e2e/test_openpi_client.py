@@ -16,7 +16,7 @@ from freerein.types.imitation import ActRequest
 
 pytestmark = [pytest.mark.e2e, pytest.mark.long]
 ROOT = Path(__file__).parents[2]
-CLIENT = ("openpi-client==0.1.2", "typing-extensions")  # which it imports, but does not ask for
+CLIENT = ("openpi-client==0.1.2", "msgpack-numpy==0.4.8", "typing-extensions")  # the last it imports without asking
 TOKEN = "correct-horse-battery"
 GOAL = 6
 HOLD = [[0.0, 0.0]] * 3
@@ -115,3 +115,21 @@ def test_the_client_shows_what_is_refused(met: dict[str, Any], what: str, error:
 
 def test_a_connection_goes_on_after_an_error(met: dict[str, Any]) -> None:
     assert met["errors"]["after"]["actions"] == met["episodes"]["replies"][0]["actions"]
+
+
+def test_keys_of_other_policies_are_named_and_a_prompt_is_ignored_with_a_note(met: dict[str, Any]) -> None:
+    others = met["others"]
+    for name, detail in (
+        ("droid", "got `observation/exterior_image_1_left`, `observation/wrist_image_left`, "),
+        (
+            "libero",
+            "`observation/image` must be uint8 of shape (4, 4, 3), as in training; got uint8 (224, 224, 3). Add ",
+        ),
+    ):
+        assert others[name].startswith("RuntimeError: Error in inference server:\ninvalid_input: ")
+        assert detail in others[name]
+    assert others["prompt"] == "`prompt` is ignored: a goal of this model is given by images."
+
+
+def test_arrays_of_the_package_msgpack_numpy_are_read(met: dict[str, Any]) -> None:
+    assert met["others"]["msgpack-numpy"]["actions"] == met["episodes"]["replies"][0]["actions"]

@@ -27,6 +27,7 @@ from freerein_imitation.model.policy import PolicySpec
 _ONLY_CAMERA = "image"
 _STATE = "observation/state"
 _PROMPT = "prompt"
+_OTHER_SIZE = "Add resize=fit or resize=crop to the URL; `fit` is what openpi_client.image_tools.resize_with_pad does."
 _PROMPT_IGNORED = "`prompt` is ignored: a goal of this model is given by {}."
 _HINT = "The metadata sent on connect tells the model's cameras, goals and actions."
 
@@ -159,10 +160,11 @@ def _images(value: object, camera: Camera, key: str, *, is_sequence: bool) -> tu
     is_frame = isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.shape[-3:] == shape
     if not isinstance(value, np.ndarray) or not is_frame or value.ndim > (4 if is_sequence else 3):
         got = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else "no array"
+        is_sized = isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.shape[2:] == shape[2:]
         raise InvalidInput(
             f"`{key}` must be uint8 of shape {shape}, as in training; got {got}.",
             field=key,
-            hint="Send height, width and channels in this order, or name another model.",
+            hint=_OTHER_SIZE if is_sized else "Send height, width and channels in this order, or name another model.",
         )
     encoding: Encoding = "raw_rgb8" if camera.channels == 3 else "raw_gray8"
     frames = value.reshape(-1, *shape)
