@@ -1,6 +1,7 @@
 """Tags and true labels as people write them: several skills in a cell, spellings, times in seconds, exports of ELAN."""
 
 import json
+import shutil
 import unicodedata
 from pathlib import Path
 from typing import Any
@@ -19,16 +20,23 @@ FPS, LENGTH = 10, 12
 HEADER = b"trajectory,skills\n"
 
 
-@pytest.fixture
-def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two trajectories of 1.2 seconds, tagged with reach and pour."""
-    monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path))
+    root = tmp_path_factory.mktemp("made") / "own"
     spec = DatasetSpec(FPS, {"top": (2, 2, 3)}, ActionSpec(1, 0, ("x",)), "arm", skills=("pour", "reach"))
-    with create(tmp_path / "datasets" / "own", spec) as writer:
+    with create(root, spec) as writer:
         for _ in range(2):
             frames = {"top": np.zeros((LENGTH, 2, 2, 3), np.uint8)}
             writer.append(Trajectory(frames, np.zeros((LENGTH, 1), np.float32), ("pour", "reach")))
-    return tmp_path / "datasets" / "own"
+    return root
+
+
+@pytest.fixture
+def root(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of them, as a dataset of the data directory."""
+    monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path))
+    return Path(shutil.copytree(made, tmp_path / "datasets" / "own"))
 
 
 @pytest.mark.parametrize("separator", [",", "|", "/", "\\", "&", "+", ", ", "\n", "\t", "\uff1b", "\uff0c", "\u3001"])
@@ -88,7 +96,8 @@ def test_names_of_trajectories_are_compared_in_normal_form() -> None:
 
 def labels(root: Path, index: int = 0) -> str:
     """Returns the labels of a trajectory by their first letters; a dot where there is none."""
-    return "".join("." if each < 0 else Dataset(root).spec.skills[each][0] for each in truth.labels(root, index))
+    skills = Dataset(root).spec.skills
+    return "".join("." if each < 0 else skills[each][0] for each in truth.labels(root, index))
 
 
 FIRST = LabelOptions(trajectory=0)
