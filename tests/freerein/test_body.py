@@ -481,3 +481,18 @@ async def test_broken_json_says_where_it_breaks(data: bytes, says: str) -> None:
         if b"\xff" in content or b"\xff" not in data:
             assert says in error.value.detail
         assert SECRET not in f"{error.value.detail} {error.value.hint}"
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b'{"dataset": "s3cr3t", "dataset": "b"}', "`dataset` is repeated"),
+        (b'{"config": {"a": [{"lr": "s3cr3t", "lr": 1}]}}', "`lr` is repeated"),
+        (b'{"config": {"%s": 1, "%s": 2}}' % (b"k" * 65, b"k" * 65), "a name of 65 characters is repeated"),
+        (b'{"config": {"a": ' + b"[" * 1020 + b'{"b": 1, "b": 2}' + b"]" * 1020 + b"}}", " is repeated"),
+    ],
+)
+async def test_a_repeated_key_is_named(data: bytes, says: str) -> None:
+    with pytest.raises(InvalidInput, match=says) as error:
+        await read(data, StartFitRequest)
+    assert SECRET not in error.value.detail

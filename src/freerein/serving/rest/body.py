@@ -8,8 +8,11 @@ bytes, and anything else is text.
 """
 
 import asyncio
+import json
 import re
+from collections import Counter
 from collections.abc import AsyncGenerator, Callable, Iterable
+from contextlib import suppress
 from typing import Any, TypeVar
 
 import numpy as np
@@ -27,6 +30,7 @@ from freerein.errors import Cancelled, InvalidInput, MalformedRequest, Unsupport
 from freerein.serving.limits import FEW_VALUES, MAX_INLINE_BYTES, MAX_INLINE_IMAGE_BYTES, MAX_VALUES
 from freerein.serving.rest.field_names import unknown_field
 from freerein.serving.rest.schemas import STRUCT, schema_of
+from freerein.unknown_names import quoted
 
 T = TypeVar("T")
 
@@ -128,7 +132,21 @@ def _check_keys(text: bytes, value: object) -> None:
     """Raises InvalidInput where an object had duplicate keys: its JSON has more colons outside strings than pairs."""
     pairs = _count_pairs(value)
     if _count(text, b":") != pairs and _STRING.sub(b"", text).count(b":") != pairs:
-        raise InvalidInput("Keys of a JSON object must be unique; one is repeated.", hint="Send each field once.")
+        raise InvalidInput(
+            f"Keys of a JSON object must be unique; {_repeated_key(text)} is repeated.", hint="Send each field once."
+        )
+
+
+def _repeated_key(text: bytes) -> str:
+    """Returns a repeated key of JSON, quoted, or another word for it."""
+    repeated: list[str] = []
+
+    def note(pairs: list[tuple[str, Any]]) -> None:
+        repeated.extend(name for name, count in Counter(name for name, _ in pairs).items() if count > 1)
+
+    with suppress(RecursionError):  # Python's parser is stricter about depth
+        json.loads(text, object_pairs_hook=note)
+    return quoted(repeated[0]) if repeated else "one"
 
 
 def _count_pairs(value: object) -> int:
