@@ -13,7 +13,7 @@ from freerein.errors import InvalidInput
 
 Labels: TypeAlias = npt.NDArray[np.integer[Any]]
 
-_DRAWN_AT_ONCE = 10_000_000
+_DRAWN_AT_ONCE = 1_000_000
 """Numbers of a bootstrap's resamples in memory at once."""
 
 
@@ -139,8 +139,12 @@ def mean_interval(values: npt.ArrayLike, *, rng: np.random.Generator, resamples:
     sample = np.asarray(values, np.float64)
     if sample.ndim != 1 or not len(sample):
         raise InvalidInput(f"Values must be (N,), N at least 1; got {sample.shape}.", field="values")
-    means = [rng.choice(sample, len(sample)).mean() for _ in range(resamples)]
-    low, high = np.percentile(means, [2.5, 97.5])
+    at_once = max(1, _DRAWN_AT_ONCE // len(sample))
+    means = [
+        rng.choice(sample, (min(at_once, resamples - first), len(sample))).mean(axis=1)
+        for first in range(0, resamples, at_once)
+    ]
+    low, high = np.percentile(np.concatenate(means), [2.5, 97.5])
     return float(low), float(high)
 
 
