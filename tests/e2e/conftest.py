@@ -12,11 +12,11 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PORTS = {"segmentation": 8101, "imitation": 8102, "reward": 8103}
-SMALL = {  # so that a fit takes seconds
-    "segmentation": ("steps=60", "batch_size=4", "features=8", "hidden_size=16", "lr=0.01", "augmentation=0"),
-    "reward": ("steps=120", "batch_size=24", "augmentation=0", "evaluate_every=60"),
-    "skill_cloning": ("steps=20", "features=16", "hidden_size=16", "min_segment_steps=1", "evaluate_every=20"),
-    "imitation": ("steps=120", "batch_size=4", "features=16", "hidden_size=32", "embedding_size=4"),
+SMALL = {  # so that a fit takes a second or two; a test says of how many steps it is
+    "segmentation": ("batch_size=4", "features=8", "hidden_size=16", "lr=0.01", "augmentation=0"),
+    "reward": ("batch_size=24", "augmentation=0", "evaluate_every=60"),
+    "skill_cloning": ("steps=5", "features=16", "hidden_size=16", "min_segment_steps=1", "evaluate_every=5"),
+    "imitation": ("batch_size=4", "features=16", "hidden_size=32", "embedding_size=4"),
 }
 
 
@@ -29,10 +29,27 @@ def read_blocks() -> Callable[[str, str], list[str]]:
 
 
 @pytest.fixture
+def commands(fork_child: object, tmp_path: Path) -> Path:
+    """A folder for `PATH` with the command `freerein`, and `freerein-python BLOCK`; `forked.py` forks them."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    for name, program in (("freerein", "freerein"), ("freerein-python", "python")):
+        (folder / name).write_text(
+            f'#!/bin/sh\nexec {sys.executable} -S {Path(__file__).with_name("forked.py")} {program} "$@"\n'
+        )
+        (folder / name).chmod(0o755)
+    return folder
+
+
+@pytest.fixture
 def shell(
-    request: pytest.FixtureRequest, start_service: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    request: pytest.FixtureRequest,
+    start_service: Callable[..., Any],
+    commands: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> Callable[[str], str]:
-    """Runs a block with the services that the test names, and small fits; returns what it printed."""
+    """Runs a block with the services that the test names, and fits of so many steps; returns what it printed."""
     services = {
         name: start_service(f"freerein_{name}", tmp_path / "var", FREEREIN_SHIPPED_DIR=str(ROOT / "models"))
         for name in request.param
@@ -40,11 +57,13 @@ def shell(
     for name, service in services.items():
         monkeypatch.setenv(f"FREEREIN_{name.upper()}_ADDRESS", service.address)
     monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path / "var"))
-    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    monkeypatch.setenv("PATH", f"{commands}:{Path(sys.executable).parent}:{os.environ['PATH']}")
     fit = re.compile(r"(freerein fit (\w+) .*?--watch)")
 
     def small(command: str, kind: str) -> tuple[str, ...]:
-        return SMALL["skill_cloning" if "skill_cloning" in command else kind]
+        if "skill_cloning" in command:
+            return SMALL["skill_cloning"]
+        return (f"steps={request.param[kind]}", *SMALL[kind])
 
     def run(block: str) -> str:
         for name, service in services.items():

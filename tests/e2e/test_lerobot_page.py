@@ -96,7 +96,7 @@ def record(root: Path) -> list[tuple[int, ...]]:
     return orders
 
 
-@pytest.mark.parametrize("shell", [("segmentation", "imitation")], indirect=True)
+@pytest.mark.parametrize("shell", [{"segmentation": 30, "imitation": 60}], indirect=True)
 def test_a_lerobot_dataset_becomes_endpoints_and_its_robot_follows(
     shell: Shell, read_blocks: Callable[[str, str], list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,11 +6,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
+
+from freerein.ports import PORTS
 
 CLONE = Path(__file__).parents[2]
 PAGES = (CLONE / "README.md", CLONE / "docs" / "training-loop.md")
@@ -19,42 +22,66 @@ BLOCKS = [
     for page in PAGES
     for block in re.findall(r"^```(sh|python)\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
 ]
-SERVICES = tuple(f"http://127.0.0.1:{port}" for port in (8100, 8101, 8102, 8103, 8104))
+FEWER = ((r"\bsteps=[0-9_]+", "steps=10"), (r"--count 100\b", "--count 20"))  # what is learned, `make demo` shows
+Newcomer = dict[str, list[str | Path]]
+"""How a newcomer's shell starts a block of a language."""
 
 pytestmark = [pytest.mark.e2e, pytest.mark.xdist_group("default-ports")]
 
 
 @pytest.fixture
-def newcomer(tmp_path: Path) -> Iterator[dict[str, str]]:
-    """The environment of a newcomer's shell, with the services of the first block running in another terminal."""
-    environ = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "FREEREIN_DATA_DIR": "var"}
+def typed(tmp_path: Path) -> Iterator[Newcomer]:
+    """With the services of the first block running in another terminal."""
     (tmp_path / "examples").symlink_to(CLONE / "examples")
-    services = subprocess.Popen(["freerein", "up"], cwd=tmp_path, env=environ)
+    services = subprocess.Popen(["freerein", "up"], cwd=tmp_path)
     try:
         deadline = time.monotonic() + 300
-        while not all(_is_ready(url) for url in SERVICES):
+        while not all(_is_ready(f"http://127.0.0.1:{ports.rest}") for ports in PORTS.values()):
             assert services.poll() is None, "freerein up ended"
             assert time.monotonic() < deadline, "the services were not ready within five minutes"
             time.sleep(0.2)  # a poll in a closed loop would slow down the start that it waits for
-        yield environ
+        yield {"sh": ["bash", "-euo", "pipefail", "-c"], "python": [sys.executable, "-c"]}
         services.send_signal(signal.SIGINT)
         assert services.wait(60) == 0
     finally:
         services.kill()
 
 
+@pytest.fixture
+def forked(
+    tmp_path: Path,
+    commands: Path,
+    start_service: Callable[..., Any],
+    wait_until: Callable[..., float],
+    monkeypatch: pytest.MonkeyPatch,
+) -> Newcomer:
+    """With services, commands and programs that are forked."""
+    monkeypatch.setenv("PATH", f"{commands}:{os.environ['PATH']}")
+    for name, ports in PORTS.items():
+        at = {"FREEREIN_HTTP_PORT": str(ports.rest), "FREEREIN_GRPC_PORT": str(ports.grpc)}
+        service = start_service(f"freerein_{name}", tmp_path / "var", **at)
+        wait_until(service.is_ready, 300)
+    return {"sh": ["bash", "-euo", "pipefail", "-c"], "python": [commands / "freerein-python"]}
+
+
 @pytest.mark.fault("G13")
-def test_the_readme_is_true(newcomer: dict[str, str], tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["forked", pytest.param("typed", marks=pytest.mark.long)])
+def test_the_readme_is_true(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    monkeypatch.setenv("FREEREIN_DATA_DIR", "var")
+    starts: Newcomer = request.getfixturevalue(how)
     assert BLOCKS[0] == ("sh", "freerein up\n")
     for language, block in BLOCKS[1:]:
-        block = re.sub(r"steps=[0-9_]+", "steps=40", block)  # noqa: PLW2901  # what is learned, `make demo` shows
-        command = ["bash", "-euo", "pipefail", "-c", block] if language == "sh" else [sys.executable, "-c", block]
-        ran = subprocess.run(command, cwd=tmp_path, env=newcomer, capture_output=True, text=True, check=False)
+        for many, few in FEWER:
+            block = re.sub(many, few, block)  # noqa: PLW2901
+        ran = subprocess.run([*starts[language], block], cwd=tmp_path, capture_output=True, text=True, check=False)
         assert ran.returncode == 0, f"{block}\n{ran.stdout}\n{ran.stderr}"
 
 
 def _is_ready(url: str) -> bool:
     try:
-        return httpx.get(f"{url}/readyz", timeout=10).is_success
+        return httpx.get(f"{url}/readyz", timeout=10, trust_env=False).is_success
     except httpx.HTTPError:
         return False
