@@ -20,6 +20,7 @@ from freerein.serving.limits import FEW_VALUES, MAX_INLINE_BYTES, MAX_VALUES
 from freerein.serving.metrics import Metrics
 from freerein.types.common import ModelRef
 from freerein_imitation.core import PolicyRunner
+from freerein_imitation.openpi import messages
 from freerein_imitation.openpi.messages import pack, read, unpack
 from freerein_imitation.openpi.observations import parse_observation
 from freerein_imitation.openpi.service import OpenpiConnection, OpenpiQuery, parse_query
@@ -131,6 +132,46 @@ def test_as_many_values_as_allowed_are_read_and_no_more() -> None:
     for over in (listed(b"\xc0", most + 1), mapped(pairs + 1)):
         with pytest.raises(MalformedRequest, match=f"at most {MAX_VALUES} values"):
             unpack(over)
+
+
+KINDS = {
+    "nothing": (None, 1),
+    "booleans": ([True, False], 3),
+    "small integers": ([0, 127, -1, -32], 5),
+    "unsigned integers": ([128, 255, 256, 65_535, 65_536, 2**32 - 1, 2**32, 2**64 - 1], 9),
+    "signed integers": ([-33, -128, -129, -32_768, -32_769, -(2**31), -(2**31) - 1, -(2**63)], 9),
+    "doubles": ([1.5, -2.5], 3),
+    "texts": (["", "x" * 31, "x" * 32, "x" * 255, "x" * 256, "x" * 65_535, "x" * 65_536], 8),
+    "bytes": ([b"", b"x" * 255, b"x" * 256, b"x" * 65_535, b"x" * 65_536], 6),
+    "lists": ([[], [0] * 15, [0] * 16, [0] * 300, [0] * 65_536], 6 + 15 + 16 + 300 + 65_536),
+    "maps": (
+        [dict.fromkeys(map(str, range(count))) for count in (0, 15, 16, 300, 65_536)],
+        6 + 2 * (15 + 16 + 300 + 65_536),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_value_counts_once_whatever_it_is(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    value, count = KINDS[kind]
+    data = msgpack.packb({"value": value, "after": [1, 2]})  # a value that is misread shifts what follows
+    most = 1 + 2 + count + 3
+    monkeypatch.setattr(messages, "MAX_VALUES", most)
+    assert unpack(data) == {"value": value, "after": [1, 2]}
+    monkeypatch.setattr(messages, "MAX_VALUES", most - 1)
+    with pytest.raises(MalformedRequest, match=f"at most {most - 1} values"):
+        unpack(data)
+
+
+@pytest.mark.parametrize("size", [1, 2, 4, 8, 16, 3, 300, 70_000])
+def test_extensions_count_as_one_value_and_are_refused(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = msgpack.packb({"value": msgpack.ExtType(5, bytes([0x91]) * size), "after": [1, 2]})
+    monkeypatch.setattr(messages, "MAX_VALUES", 7)
+    with pytest.raises(MalformedRequest, match="no msgpack extension types"):
+        unpack(data)
+    monkeypatch.setattr(messages, "MAX_VALUES", 6)
+    with pytest.raises(MalformedRequest, match="at most 6 values"):
+        unpack(data)
 
 
 @pytest.mark.fault("I19")

@@ -32,7 +32,7 @@ def trial(number: int, *names: str) -> Trial:
 def content(record: TrialRecord) -> list[tuple[int, dict[str, int]]]:
     """Returns the number of each trial, and the colour of each of its frames."""
     return [
-        (each.values["number"], {name: int(frame[0, 0, 0]) for name, frame in each.frames.items()})
+        (each.values["number"], {name: int(frame[0, 0, 0]) for name, frame in each.shown.items()})
         for each in record.trials()
     ]
 
