@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 from http.client import HTTPConnection
 from pathlib import Path
+from typing import TextIO
 
 import hypothesis
 import numpy as np
@@ -211,6 +212,42 @@ def run_child() -> Callable[..., tuple[int, str]]:
 def fork_child() -> StartChild:
     """A function that starts a child process which has imported all services."""
     return lambda program: _fork_server().start(program)
+
+
+@dataclass(frozen=True)
+class PipedProgram:
+    """A process whose standard input and output are pipes.
+
+    Attributes:
+        process: The process.
+        stdin: Where its input is written.
+        stdout: Where its output is read.
+    """
+
+    process: ChildProcess
+    stdin: TextIO
+    stdout: TextIO
+
+
+@pytest.fixture
+def fork_program(fork_child: StartChild) -> Iterator[Callable[..., PipedProgram]]:
+    """A function that forks `python -m MODULE ARGUMENTS`, ended with the test: `fork_program("tests.code", CODE)`."""
+    started: list[PipedProgram] = []
+
+    def start(module: str, *arguments: object) -> PipedProgram:
+        (stdin, ours), (theirs, stdout) = os.pipe(), os.pipe()
+        with os.fdopen(stdin), os.fdopen(stdout, "w"):
+            whole = {**os.environ, **_SERVICE_ENVIRON}
+            process = fork_child(Program(module, [str(each) for each in arguments], whole, stdin, stdout, 2))
+        started.append(PipedProgram(process, os.fdopen(ours, "w"), os.fdopen(theirs)))
+        return started[-1]
+
+    yield start
+    for program in started:
+        program.process.send_signal(signal.SIGKILL)
+        program.process.wait(60)
+        program.stdin.close()
+        program.stdout.close()
 
 
 @pytest.fixture(scope="session")

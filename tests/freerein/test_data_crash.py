@@ -3,9 +3,9 @@
 import json
 import shutil
 import signal
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,16 +57,17 @@ def trajectory(index: int) -> Trajectory:
     return Trajectory(frames=frames, actions=np.zeros((4, 2), np.float32), skills=("push",))
 
 
-def kill_writer_at(root: Path, event: str, path: str) -> None:
-    """Starts a writer of trajectories 1 and 2, waits until it is about to do `event` to `path`, and kills it there."""
-    writer = subprocess.Popen(
-        [sys.executable, "-c", WRITER, root, event, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    with writer:
-        assert writer.stdout is not None
-        assert writer.stdout.readline() == b"there\n"
-        writer.send_signal(signal.SIGKILL)
-    assert writer.returncode == -signal.SIGKILL
+@pytest.fixture
+def kill_writer_at(root: Path, fork_program: Callable[..., Any]) -> Callable[[str, str], None]:
+    """A function that has a writer of trajectories 1 and 2 killed when it is about to do an event to a path."""
+
+    def kill(event: str, path: str) -> None:
+        writer = fork_program("tests.code", WRITER, root, event, path)
+        assert writer.stdout.readline() == "there\n"
+        writer.process.send_signal(signal.SIGKILL)
+        assert writer.process.wait() == -signal.SIGKILL
+
+    return kill
 
 
 def assert_whole(root: Path, *, trajectories: int) -> None:
@@ -91,9 +92,9 @@ def assert_whole(root: Path, *, trajectories: int) -> None:
     ],
 )
 def test_every_trajectory_appended_before_the_kill_is_there_and_the_open_one_is_not(
-    root: Path, event: str, path: str, survivors: int
+    root: Path, kill_writer_at: Callable[[str, str], None], event: str, path: str, survivors: int
 ) -> None:
-    kill_writer_at(root, event, path)
+    kill_writer_at(event, path)
 
     with open_writer(root) as writer:
         assert len(writer) == survivors
@@ -103,8 +104,8 @@ def test_every_trajectory_appended_before_the_kill_is_there_and_the_open_one_is_
     assert_whole(root, trajectories=survivors + 1)
 
 
-def test_a_reader_rebuilds_meta_after_the_kill(root: Path) -> None:
-    kill_writer_at(root, "open", "meta/episodes/chunk-000/file-000.parquet.tmp")
+def test_a_reader_rebuilds_meta_after_the_kill(root: Path, kill_writer_at: Callable[[str, str], None]) -> None:
+    kill_writer_at("open", "meta/episodes/chunk-000/file-000.parquet.tmp")
     assert [problem.where for problem in verify(root)] != []
 
     assert len(Dataset(root)) == 3

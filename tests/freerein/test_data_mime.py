@@ -1,5 +1,6 @@
 """MIME's folders, written here as public loaders of the dataset read them."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,10 +13,11 @@ from freerein.errors import InvalidInput, NotFound, ServiceError
 SECONDS, RATE = 3, 10  # of the video that `encode_video` makes
 
 
-@pytest.fixture
-def folder(tmp_path: Path, encode_video: Callable[..., bytes]) -> Path:
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory, encode_video: Callable[..., bytes]) -> Path:
+    folder = tmp_path_factory.mktemp("mime")
     for task in ("mime_stir", "Pour"):
-        path = tmp_path / "mime" / task / "4329Aug02"
+        path = folder / task / "4329Aug02"
         path.mkdir(parents=True)
         frames = np.zeros((SECONDS * RATE, 24, 64, 3), np.uint8)
         frames[:] = np.linspace(0, 250, len(frames)).astype(np.uint8)[:, None, None, None]
@@ -24,7 +26,12 @@ def folder(tmp_path: Path, encode_video: Callable[..., bytes]) -> Path:
         (path / "joint_angles.txt").write_text("".join(angles))
         for side, value in (("left", 0.0), ("right", 100.0)):
             (path / f"{side}_gripper.txt").write_text(f"{value}\n" * 7)
-    return tmp_path / "mime"
+    return folder
+
+
+@pytest.fixture
+def folder(recorded: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(recorded, tmp_path / "mime"))
 
 
 def test_a_demonstration_is_tagged_with_reach_and_its_task(folder: Path, tmp_path: Path) -> None:

@@ -2,10 +2,10 @@
 
 import ast
 import re
-import subprocess
-import sys
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,13 +99,14 @@ def test_the_learners_reader_imports_nothing_that_knows_of_truth() -> None:
     assert "truth" not in constants
 
 
-def test_the_learners_reader_opens_nothing_below_truth(root: Path) -> None:
+def test_the_learners_reader_opens_nothing_below_truth(root: Path, fork_program: Callable[..., Any]) -> None:
     for stale in (root / "meta").rglob("*.json"):
         stale.unlink()  # so that the reader also walks the paths that rebuild meta
 
-    learner = subprocess.run([sys.executable, "-c", LEARNER, root], capture_output=True, text=True, check=True)
+    learner = fork_program("tests.code", LEARNER, root)
 
-    touched = learner.stdout.splitlines()
+    touched = learner.stdout.read().splitlines()
+    assert learner.process.wait() == 0
     assert any(path.endswith("data/chunk-000/file-000.parquet") for path in touched)
     assert any(path.endswith("meta/info.json.tmp") for path in touched)
     assert not [path for path in touched if path.startswith(f"{root}/truth")]

@@ -1,62 +1,27 @@
-"""The training loop under kill -9, SIGTERM and damage. This file is also the process that gets killed: see `main`."""
+"""The training loop under kill -9, SIGTERM and damage."""
 
 import json
 import os
 import signal
-import subprocess
-import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tests.freerein.line import CONFIG, CUT, Line
 from torch import nn
 
 from freerein.errors import FailedPrecondition, OutOfStorage
 from freerein.learning import checkpoints, weights
-from freerein.learning.fit import FitEvent, FitResult, fit, fit_and_save, stop_on_sigterm
+from freerein.learning.fit import FitEvent, FitResult, fit, fit_and_save
 from freerein.learning.fit_config import FitConfig
 from freerein.learning.optimiser import optimiser_step
 from freerein.learning.train_state import TrainState
-
-CONFIG = FitConfig(steps=12, batch_size=3, evaluate_every=4, checkpoint_every=5, log_every=3, seed=1, threads=1)
-CUT = 7
-
-
-class Line:
-    """Fits a line to noisy points; the noise is drawn during training, so that every generator's state matters."""
-
-    def __init__(
-        self, config: FitConfig = CONFIG, *, data: str = "points", before_update: Callable[[int], None] = lambda _: None
-    ) -> None:
-        self.config = config
-        self.size = 10
-        self.fingerprint = data
-        self.before_update = before_update
-
-    def init(self, generator: torch.Generator) -> TrainState[nn.Linear]:
-        network = nn.Linear(1, 1)
-        weights.initialise(network, generator=generator)
-        return TrainState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
-
-    def update(
-        self, state: TrainState[nn.Linear], items: npt.NDArray[np.int64]
-    ) -> tuple[TrainState[nn.Linear], Mapping[str, float]]:
-        self.before_update(state.step)
-        x = torch.from_numpy(items).float()[:, None]
-        noise = torch.randn(x.shape, generator=state.generator)
-        loss = (state.network(x) - 2 * x - noise).square().mean()
-        state.optimiser.zero_grad()
-        loss.backward()
-        state.optimiser.step()
-        return replace(state, step=state.step + 1), {"train_loss": loss.item()}
-
-    def evaluate(self, state: TrainState[nn.Linear]) -> float:
-        return (state.network.weight - 2).abs().item()
 
 
 class Diverging(Line):
@@ -128,21 +93,19 @@ def undisturbed(tmp_path: Path) -> tuple[str, str]:
 
 
 @pytest.fixture
-def child(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
-    """A process that trains in `tmp_path / "cut"` and, about to make update CUT, waits for a line of input."""
-    command = [sys.executable, __file__, str(tmp_path / "cut")]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == f"{CUT}\n"
-        yield process
+def child(tmp_path: Path, fork_program: Callable[..., Any]) -> Any:
+    """A program that trains in `tmp_path / "cut"` and, about to make update CUT, waits for a line of input."""
+    program = fork_program("tests.freerein.line", tmp_path / "cut")
+    assert program.stdout.readline() == f"{CUT}\n"
+    return program
 
 
 @pytest.mark.fault("O1")
 def test_a_training_killed_by_sigkill_goes_on_to_the_same_bits(
-    child: "subprocess.Popen[str]", tmp_path: Path, undisturbed: tuple[str, str]
+    child: Any, tmp_path: Path, undisturbed: tuple[str, str]
 ) -> None:
-    child.kill()
-    assert child.wait() == -signal.SIGKILL
+    child.process.send_signal(signal.SIGKILL)
+    assert child.process.wait() == -signal.SIGKILL
     digest, events = run(tmp_path / "cut")
     assert events[0] == FitEvent("resumed", 5)
     assert (digest, rows(tmp_path / "cut")) == undisturbed
@@ -151,11 +114,12 @@ def test_a_training_killed_by_sigkill_goes_on_to_the_same_bits(
 
 
 def test_sigterm_saves_and_ends_and_the_training_goes_on_to_the_same_bits(
-    child: "subprocess.Popen[str]", tmp_path: Path, undisturbed: tuple[str, str]
+    child: Any, tmp_path: Path, undisturbed: tuple[str, str]
 ) -> None:
-    child.terminate()
-    assert child.communicate("\n") == ("stopped\n", None)
-    assert child.returncode == 0
+    child.process.send_signal(signal.SIGTERM)
+    child.stdin.write("\n")
+    child.stdin.flush()
+    assert (child.stdout.read(), child.process.wait()) == ("stopped\n", 0)
     digest, events = run(tmp_path / "cut")
     assert events[0] == FitEvent("resumed", CUT + 1)
     assert (digest, rows(tmp_path / "cut")) == undisturbed
@@ -293,20 +257,3 @@ def test_checkpoints_hold_nothing_but_safetensors_and_json(tmp_path: Path, undis
     kept = tmp_path / "undisturbed" / "checkpoints"
     assert {path.suffix for path in kept.rglob("*") if path.is_file()} == {".safetensors", ".json"}
     assert len(list(kept.iterdir())) == checkpoints.KEPT
-
-
-def main(folder: Path) -> None:
-    """Trains, waiting for input before update CUT; prints how it ended."""
-
-    def wait(step: int) -> None:
-        if step == CUT:
-            print(CUT, flush=True)  # noqa: T201
-            sys.stdin.readline()
-
-    with stop_on_sigterm() as stop:
-        fitted = fit(Line(before_update=wait), folder, stop=stop)
-    print("stopped" if fitted is None else "finished")  # noqa: T201
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))
