@@ -121,6 +121,12 @@ def pytest_unconfigure() -> None:
 
 _SERVICE_ENVIRON = {"OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "error", "PYTHONPATH": str(_ROOT)}
 _READ_BY_THE_INTERPRETER = ("LD_", "PYTHON", "MUJOCO_", "OMP_")
+_WITH_PATH = """
+import os, runpy, sys
+sys.path[:0] = os.environ["PYTHONPATH"].split(os.pathsep)
+sys.argv = sys.argv[1:]
+runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+"""
 
 
 def start_process(module: str, data_dir: Path, **environ: str) -> RunningService:
@@ -129,11 +135,13 @@ def start_process(module: str, data_dir: Path, **environ: str) -> RunningService
     data_dir.mkdir(parents=True, exist_ok=True)
     places = {"FREEREIN_HTTP_PORT": str(reserve_port()), "FREEREIN_GRPC_PORT": str(reserve_port())}
     settings = {**places, "FREEREIN_DATA_DIR": str(data_dir), **environ}
-    start = spawn if any(name.startswith(_READ_BY_THE_INTERPRETER) for name in environ) else _fork_server().start
+    unforked = any(name.startswith(_READ_BY_THE_INTERPRETER) and name != "PYTHONPATH" for name in environ)
+    start = spawn if unforked else _fork_server().start
+    forked = ("tests.code", (_WITH_PATH, module)) if "PYTHONPATH" in environ and not unforked else (module, ())
     output, stdout = (os.fdopen(fd, mode) for fd, mode in zip(os.pipe(), ("rb", "wb"), strict=True))
     with log.open("wb") as stderr, Path(os.devnull).open("rb") as stdin, stdout:
         whole = {**os.environ, **_SERVICE_ENVIRON, **settings}
-        process = start(Program(module, (), whole, stdin.fileno(), stdout.fileno(), stderr.fileno()))
+        process = start(Program(*forked, whole, stdin.fileno(), stdout.fileno(), stderr.fileno()))
     readable, _, _ = select.select([output], [], [], _START_S)
     line = output.readline() if readable else b""
     if not line:

@@ -120,7 +120,11 @@ def root(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
 SQUARES = ([0, 2, 4, 6, 8], [10, 12, 14, 16, 18, 20, 22], [0, 2, 4, 6])
 
 
-@pytest.mark.parametrize("root", ["libx264", "libsvtav1"], indirect=True)
+@pytest.mark.parametrize("root", ["libsvtav1"], indirect=True)
+def test_frames_of_av1_are_those_of_their_times(root: Path) -> None:
+    assert [list(map(square_at, each.frames["top"])) for each in Dataset(root)] == list(SQUARES)
+
+
 def test_every_frame_is_that_of_its_time(root: Path) -> None:
     dataset = Dataset(root)
     assert dataset.spec.cameras == {"top": (HEIGHT, WIDTH, 3)}  # depth is left out
@@ -248,7 +252,7 @@ def test_no_file_outside_of_the_dataset_is_named(root: Path, changes: dict[str, 
         Dataset(root)
 
 
-@pytest.mark.parametrize("kept", [[0, 2], [1, 2], [1]])
+@pytest.mark.parametrize("kept", [[0, 2], [1, 2]])
 def test_frames_are_those_of_the_episode_after_others_were_deleted(root: Path, tmp_path: Path, kept: list[int]) -> None:
     pq.write_table(pq.read_table(root / EPISODES).take(kept), root / EPISODES)
     import_trajectories(LeRobotSource(root), tmp_path / "ours")

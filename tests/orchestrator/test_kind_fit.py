@@ -96,12 +96,12 @@ def test_a_run_told_to_stop_leaves_its_fit_and_a_cancelled_one_cancels_it_and_re
 def test_a_run_waits_for_a_service_that_is_killed_and_goes_on_with_its_fit(
     new_run: Callable[..., Any], data_dir: Path, imitation: Any, fits: Callable[[], list[Any]]
 ) -> None:
-    config = FIT | {"config": TINY | {"steps": 10 * STEPS}}  # so that it goes on when its service is back
+    config = FIT | {"config": TINY | {"steps": 5 * STEPS}}  # so that it goes on when its service is back
     run = new_run(data_dir, "fit", config, FREEREIN_IMITATION_ADDRESS=imitation.address)
     replacing = imitation.replaced_at(1, since=fits)
     assert run.do(stop=replacing)
     assert replacing.is_done
-    assert run.rows[-1]["step"] == 10 * STEPS
+    assert run.rows[-1]["step"] == 5 * STEPS
     assert len(fits()) == 1
 
 

@@ -186,7 +186,7 @@ def test_a_run_outlives_a_service_that_is_killed_and_ends_with_the_same_weights(
 
 
 def test_a_run_over_two_sims_resumes_over_two_only(ppo: Callable[..., Any], services: dict[str, Any]) -> None:
-    run, one = ppo(), services["sim"].address
+    run, one = ppo(encoder="spatial"), services["sim"].address
     run.environ["FREEREIN_SIM_ADDRESS"] = f"{one},{one}"
     assert not run.do(stop=lambda: bool(run.rows))
     run.environ["FREEREIN_SIM_ADDRESS"] = one
@@ -196,7 +196,7 @@ def test_a_run_over_two_sims_resumes_over_two_only(ppo: Callable[..., Any], serv
     assert run.do()
     assert run.artifact("policy.json")["sims"] == 2
 
-    single = ppo(iterations=1, num_envs=1)
+    single = ppo(encoder="spatial", iterations=1, num_envs=1)
     single.environ["FREEREIN_SIM_ADDRESS"] = f"{one},{one}"
     assert single.do()
     assert single.artifact("policy.json")["sims"] == 1
@@ -237,8 +237,8 @@ def test_the_eye_for_the_base_reward_is_the_reward_models_whichever_grounding_mo
 
 
 def test_the_oracles_reward_marks_a_policy_and_those_initialised_from_it_as_privileged(ppo: Callable[..., Any]) -> None:
-    run = ppo("oracle", reward="oracle", iterations=1)
-    more = ppo(init_from="oracle", iterations=1)
+    run = ppo("oracle", reward="oracle", encoder="spatial", iterations=1)
+    more = ppo(init_from="oracle", encoder="spatial", iterations=1)
     assert run.do()
     assert more.do()
     first, second = run.artifact("policy.json"), more.artifact("policy.json")

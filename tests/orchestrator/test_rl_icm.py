@@ -209,25 +209,25 @@ def visited_at_random(seed: int) -> set[int]:
 
 
 def test_an_exploration_stopped_between_iterations_resumes_to_the_same_bits(tmp_path: Path) -> None:
-    left = iter(range(25))
+    short, left = replace(PPO, iterations=2), iter(range(8))
 
     def interrupt() -> None:
         if next(left, None) is None:
             raise Stopped
 
     with pytest.raises(Stopped):
-        explore(tmp_path / "stopped", Corridor(length=20), interrupt=interrupt)
+        explore(tmp_path / "stopped", Corridor(length=20), config=short, interrupt=interrupt)
     found = checkpoints.newest(tmp_path / "stopped" / "checkpoints", on_corrupt=lambda *_: pytest.fail("damaged"))
     assert found is not None
-    resumed = explore(tmp_path / "stopped", Corridor(length=20))
-    assert digest(resumed) == digest(explore(tmp_path / "undisturbed", Corridor(length=20)))
+    resumed = explore(tmp_path / "stopped", Corridor(length=20), config=short)
+    assert digest(resumed) == digest(explore(tmp_path / "undisturbed", Corridor(length=20), config=short))
     with pytest.raises(FailedPrecondition):
         from_checkpoint(found, resumed.config, device=CPU, make_reward_learner=make_icm(ICMConfig(batch_size=16)))
 
 
 def test_a_rollout_becomes_trajectories_within_episodes_and_transitions_that_do_not_cross_them() -> None:
     envs = Corridor(length=20)
-    state = corridor_state(envs, 0)
+    state = corridor_state(envs)
     rollout, _ = CorridorCollector(envs).collect(state.network, state.collector)
     rollout = replace(rollout, terminated=rollout.dones)
     made, steps = trajectories(rollout, "top"), Transitions.of(rollout)
@@ -251,23 +251,21 @@ def make_icm(config: ICMConfig) -> Callable[[ActorCritic], ICMRewards]:
     return lambda policy: ICMRewards(config, policy, transitions=PPO.rollout_size)
 
 
-def corridor_state(envs: Corridor, seed: int) -> PPOState:
-    config = PPOConfig(**{**vars(PPO), "seed": seed})
+def corridor_state(envs: Corridor, config: PPOConfig = PPO) -> PPOState:
     spec = network_spec(config, observation=(4, CELLS, 1), action_choices=2)
-    state = init_state(config, spec, envs, device=CPU, make_reward_learner=make_icm(ICMConfig(seed=seed)))
+    state = init_state(config, spec, envs, device=CPU, make_reward_learner=make_icm(ICMConfig()))
     envs.visited.clear()
     return state
 
 
-def explore(folder: Path, envs: Corridor, *, seed: int = 0, interrupt: Callable[[], None] = lambda: None) -> PPOState:
+def explore(
+    folder: Path, envs: Corridor, *, config: PPOConfig = PPO, interrupt: Callable[[], None] = lambda: None
+) -> PPOState:
     """Explores a corridor to the end, or resumes."""
-    config = PPOConfig(**{**vars(PPO), "seed": seed})
     return Trainer(
         folder,
-        init=lambda: corridor_state(envs, seed),
-        load=lambda found: from_checkpoint(
-            found, config, device=CPU, make_reward_learner=make_icm(ICMConfig(seed=seed))
-        ),
+        init=lambda: corridor_state(envs, config),
+        load=lambda found: from_checkpoint(found, config, device=CPU, make_reward_learner=make_icm(ICMConfig())),
         collector=lambda _: CorridorCollector(envs),
         metrics_log=lambda _: NoLog(),
         interrupt=interrupt,
