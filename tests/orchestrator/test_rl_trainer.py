@@ -45,7 +45,7 @@ FRAMES = PPOConfig(
     feature_size=16,
     hidden_size=16,
 )
-SHORT = replace(FRAMES, iterations=4, num_steps=8, batch_size=32, epochs=2, normalise_rewards=True)
+SHORT = replace(FRAMES, iterations=4, num_steps=8, batch_size=32, epochs=1, normalise_rewards=True)
 
 Spoil = Callable[[int, Rewards], Rewards]
 """Given the number of a rollout, from 1, and its rewards, returns other rewards."""
@@ -264,7 +264,7 @@ def test_a_training_resumed_from_any_checkpoint_ends_with_the_same_bits(tmp_path
 def test_a_training_stopped_anywhere_ends_with_the_same_bits_and_one_row_per_iteration(
     tmp_path: Path, expected: str
 ) -> None:
-    for calls in (1, 4, 6, 9, 2, 3):
+    for calls in (1, 2, 4, 5, 1, 2):
         left = iter(range(calls))
 
         def interrupt(left: Iterator[int] = left) -> None:
@@ -317,7 +317,7 @@ def test_damaged_checkpoints_are_skipped_and_named(tmp_path: Path, expected: str
     (before / "manifest.json").unlink()
     log: list[str] = []
     assert digest(train(tmp_path, log=log)) == expected
-    assert [text[:13] for text in log] == ["Checkpoint 16", "Checkpoint 12"]
+    assert [text[:13] for text in log] == ["Checkpoint 8 ", "Checkpoint 6 "]
     assert [row["step"] for row in rows(tmp_path)] == [1, 2, 3, 4]
 
 
