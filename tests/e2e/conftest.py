@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 PORTS = {"segmentation": 8101, "imitation": 8102, "reward": 8103}
 SMALL = {  # so that a fit takes a second or two; a test says of how many steps it is
     "segmentation": ("batch_size=4", "features=8", "hidden_size=16", "lr=0.01", "augmentation=0"),
-    "reward": ("batch_size=24", "augmentation=0", "evaluate_every=60"),
+    "reward": ("batch_size=24", "augmentation=0", "evaluate_every=50"),
     "skill_cloning": ("steps=5", "features=16", "hidden_size=16", "min_segment_steps=1", "evaluate_every=5"),
     "imitation": ("batch_size=4", "features=16", "hidden_size=32", "embedding_size=4"),
 }

@@ -66,7 +66,7 @@ def test_recordings_and_tags_say_which_skill_when(shell: Shell, block_with: Shel
     assert json.loads(printed.splitlines()[-1])["labels"] == truth[:2]
 
 
-@pytest.mark.parametrize("shell", [{"reward": 120}], indirect=True)
+@pytest.mark.parametrize("shell", [{"reward": 100}], indirect=True)
 def test_images_and_phrases_become_rewards(shell: Shell, block_with: Shell, tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
 
@@ -95,7 +95,7 @@ def test_images_and_phrases_become_rewards(shell: Shell, block_with: Shell, tmp_
     assert rewarded[~is_left].mean() < 0.15
 
 
-@pytest.mark.parametrize("shell", [{"imitation": 120}], indirect=True)
+@pytest.mark.parametrize("shell", [{"imitation": 80}], indirect=True)
 def test_exploration_becomes_a_policy(shell: Shell, block_with: Shell, tmp_path: Path) -> None:
     """A disc moves by its action, which is another one in each trajectory."""
     rng = np.random.default_rng(2)

@@ -80,7 +80,7 @@ def test_text_that_is_not_json_in_utf_8_is_refused(faulty: Any, refusal: Any, bo
 
 @pytest.mark.fault("C2")
 @given(body=st.binary(max_size=300))
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_any_bytes_are_refused_without_a_bug(faulty: Any, refusal: Any, body: bytes) -> None:
     refusal(faulty.http.post(SEGMENT, content=body, headers=JSON), 422)
     boundary = {"content-type": "multipart/form-data; boundary=b"}
@@ -404,7 +404,7 @@ HOSTILE_NAMES = st.one_of(
 @pytest.mark.fault("C15")
 @pytest.mark.fault("G11")
 @given(name=HOSTILE_NAMES)
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_a_name_that_is_no_name_is_refused_and_opens_nothing(faulty: Any, refusal: Any, audit: Path, name: str) -> None:
     before = len(audit.read_bytes())
     replies = [

@@ -32,7 +32,7 @@ async def until(condition: Callable[[], bool]) -> None:
         until = time.monotonic() + 300
         while not condition():
             assert time.monotonic() < until, "it did not come to it"
-            time.sleep(0.005)
+            time.sleep(0.01)
 
     await asyncio.to_thread(wait)
 

@@ -31,10 +31,9 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def faulty(start_faulty: Callable[..., Any], data_dir: Path) -> Any:
+def faulty(start_faulty: Callable[..., Any], data_dir: Path, wait_until: Any) -> Any:
     faulty = start_faulty(data_dir, module="tests.faults.faulty_policy")
-    while faulty.http.get("/readyz").status_code != 200:
-        pass
+    wait_until(faulty.service.is_ready, 300)
     return faulty
 
 

@@ -32,13 +32,12 @@ CODES = ("malformed_request", "invalid_input", "model_fault", "output_not_finite
 
 
 @pytest.fixture(scope="module")
-def start(start_faulty: Callable[..., Any]) -> Callable[..., Any]:
+def start(start_faulty: Callable[..., Any], wait_until: Any) -> Callable[..., Any]:
     """A function that starts the service, and returns when it is ready."""
 
     def start_ready(**environ: str) -> Any:
         faulty = start_faulty(module="tests.faults.faulty_policy", **environ)
-        while faulty.http.get("/readyz").status_code != 200:
-            pass
+        wait_until(faulty.service.is_ready, 300)
         return faulty
 
     return start_ready
@@ -330,12 +329,11 @@ def test_a_robot_that_does_not_read_loses_its_connection_and_fills_no_memory(
 
 
 @pytest.mark.fault("I22")
-def test_a_service_that_stops_answers_what_it_has_and_says_so(start: Callable[..., Any]) -> None:
+def test_a_service_that_stops_answers_what_it_has_and_says_so(start: Callable[..., Any], wait_until: Any) -> None:
     faulty = start()
     with robot_of(faulty) as busy, robot_of(faulty) as idle:
         busy.send(pack(seen(1, hundredths=50)))
-        while faulty.metric('freerein_calls_in_flight{protocol="websocket"}') < 2:
-            pass
+        wait_until(lambda: faulty.metric('freerein_calls_in_flight{protocol="websocket"}') == 2, 60)
         assert faulty.service.stop() == 0
         assert isinstance(busy.recv(60), bytes)
         for robot in (busy, idle):
@@ -346,9 +344,9 @@ def test_a_service_that_stops_answers_what_it_has_and_says_so(start: Callable[..
 
 
 @pytest.mark.fault("I21")
-def test_a_robot_that_vanished_loses_its_connection(
-    abandoned: tuple[Any, float], wait_until: Callable[..., float]
-) -> None:
+def test_a_robot_that_vanished_loses_its_connection(abandoned: tuple[Any, float]) -> None:
     faulty, since = abandoned
-    wait_until(lambda: faulty.metric('freerein_calls_in_flight{protocol="websocket"}') == 0, 12 * PING_S)
+    while faulty.metric('freerein_calls_in_flight{protocol="websocket"}'):
+        assert time.monotonic() - since < 12 * PING_S
+        time.sleep(0.2)
     assert time.monotonic() - since > PING_S

@@ -26,6 +26,7 @@ def opened(service: Any) -> Iterator[httpx.Client]:
         deadline = time.monotonic() + 300
         while client.get("/readyz").status_code != 200:
             assert time.monotonic() < deadline
+            time.sleep(0.02)
         yield client
 
 

@@ -34,6 +34,7 @@ def wait_until_ready(client: httpx.Client) -> None:
     deadline = time.monotonic() + 300
     while client.get("/readyz").status_code != 200:
         assert time.monotonic() < deadline
+        time.sleep(0.02)
 
 
 def embed(reward: httpx.Client, text: str) -> httpx.Response:

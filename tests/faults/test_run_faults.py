@@ -81,7 +81,7 @@ class Run:
         begun = time.monotonic()
         while len(self.checkpoints) < checkpoints:
             assert time.monotonic() - begun < PATIENCE_S, self.log
-            time.sleep(0.002)
+            time.sleep(0.01)
 
     def killed_after(self, checkpoints: int) -> None:
         """Works until there are so many checkpoints, of which the last three are kept, and no further."""
@@ -198,7 +198,7 @@ def test_a_disk_that_is_full_for_a_while_costs_nothing(
         lies("crawl 1000000")  # so that there is time to end it before three checkpoints are lost
         while int((reward.data_dir / "lies").read_text()[6:]) > 1_000_000 - 2:
             assert process.poll() is None, run.log
-            time.sleep(0.002)
+            time.sleep(0.01)
         limit((resource.RLIM_INFINITY, resource.RLIM_INFINITY))
         lies("")
         assert process.wait(PATIENCE_S) == 0, run.log

@@ -23,7 +23,7 @@ SERVICES = {
 }
 
 
-@pytest.mark.parametrize("seconds", [2, pytest.param(30, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seconds", [1, pytest.param(30, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", SERVICES)
 def test_no_generated_request_breaks_a_service_or_its_document(
     start_service: Callable[..., Any], tmp_path: Path, fuzz: bool, name: str, seconds: int

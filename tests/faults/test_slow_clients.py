@@ -333,8 +333,8 @@ async def test_a_client_that_reads_a_stream_gets_it_for_longer_than_it_may_pause
     async with serving(Stream(2**40), 2.0) as (_, client):
         begun = time.monotonic()
         while time.monotonic() - begun < 4.0:
-            assert await asyncio.get_running_loop().sock_recv(client, 4096)
-            await asyncio.sleep(0)  # the server sends faster than this reads
+            assert await asyncio.get_running_loop().sock_recv(client, 65536)
+            await asyncio.sleep(0.01)  # the server sends faster than this reads
 
 
 async def test_a_reply_that_was_read_shortens_no_deadline_of_the_next() -> None:

@@ -12,7 +12,7 @@ import schemathesis
 
 pytestmark = [pytest.mark.e2e, pytest.mark.fault("O11")]
 SLOW = 60  # of 64 streams that may be open
-COUNT = 40
+COUNT = 20
 
 
 @pytest.fixture(scope="module")
