@@ -505,7 +505,9 @@ async def test_what_the_iterator_of_requests_raises_is_raised(channel: Channel, 
 
 async def test_a_message_of_a_stream_over_the_limit_is_too_large(channel: Channel) -> None:
     async def requests() -> AsyncIterator[sim.ConnectRequest]:
-        yield sim.ConnectRequest(step=sim.StepRequest(SESSION, 1, np.zeros((1, MAX_MESSAGE_BYTES), np.float32)))
+        yield sim.ConnectRequest(
+            step=sim.StepRequest(SESSION, 1, np.zeros((1, MAX_MESSAGE_BYTES // 4 + 1), np.float32))
+        )
 
     with pytest.raises(errors.TooLarge):
         await anext(SimClient(channel).connect(requests()))

@@ -1,5 +1,6 @@
 """Tags and true labels that people bring as CSV: all of a file or nothing; errors name line and column."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +17,20 @@ def trajectory(skills: tuple[str, ...] = ()) -> Trajectory:
     return Trajectory({"top": np.zeros((LENGTH, 6, 8, 3), np.uint8)}, np.zeros((LENGTH, 2), np.float32), skills)
 
 
-@pytest.fixture
-def root(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three trajectories without tags."""
+    root = tmp_path_factory.mktemp("made") / "demos"
     spec = DatasetSpec(10, {"top": (6, 8, 3)}, ActionSpec(2, 0, ("x", "y")), "arm")
-    with create(tmp_path / "demos", spec) as writer:
+    with create(root, spec) as writer:
         for _ in range(3):
             writer.append(trajectory())
-    return tmp_path / "demos"
+    return root
+
+
+@pytest.fixture
+def root(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "demos"))
 
 
 def test_tags_are_those_of_the_file_and_the_others_stay(root: Path) -> None:

@@ -1,5 +1,6 @@
 """Damage is found, named, and comes with a way to mend it."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,12 +27,18 @@ def trajectory(index: int, *, skills: tuple[str, ...]) -> Trajectory:
     return Trajectory(frames=frames, actions=np.zeros((4, 2), np.float32), skills=skills)
 
 
-@pytest.fixture
-def root(tmp_path: Path) -> Path:
-    with create(tmp_path / "demos", SPEC) as writer:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("made") / "demos"
+    with create(root, SPEC) as writer:
         for index, skills in enumerate([("pick",), ("push",), ("pick", "push")]):
             writer.append(trajectory(index, skills=skills), np.full(4, index % 2))
-    return tmp_path / "demos"
+    return root
+
+
+@pytest.fixture
+def root(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "demos"))
 
 
 def truncate(path: Path) -> None:

@@ -105,7 +105,8 @@ def test_small_frames_are_enlarged_on_request(is_dict: bool) -> None:
 
 
 def test_cnn_policy_takes_enlarged_frames() -> None:
-    PPO("CnnPolicy", SB3VecEnv(same_step(lambda: Walk(is_dict=False), 2), render_size=36), n_steps=2, batch_size=4)
+    envs, small = SB3VecEnv(same_step(lambda: Walk(is_dict=False), 2), render_size=36), {"features_dim": 8}
+    PPO("CnnPolicy", envs, n_steps=2, batch_size=4, policy_kwargs={"features_extractor_kwargs": small})
 
 
 def test_statistics_of_gymnasiums_wrapper_reach_the_learner() -> None:

@@ -4,8 +4,6 @@ import json
 import math
 import resource
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -121,7 +119,7 @@ def test_an_event_has_the_time_when_it_happened_and_one_of_an_earlier_version_ha
     assert store.last(run_id) == JobEvent(time_ns=0)
 
 
-def test_processes_append_side_by_side_without_losing_an_event(store):
+def test_processes_append_side_by_side_without_losing_an_event(store, fork_program):
     run_id = store.create(REQUEST, {})
     program = (
         "import sys; from pathlib import Path; from freerein.jobs.store import JobStore\n"
@@ -129,8 +127,8 @@ def test_processes_append_side_by_side_without_losing_an_event(store):
         "metrics={sys.argv[3]: 1.0})"
     )
     root = store.folder(run_id).parent
-    writers = [subprocess.Popen([sys.executable, "-c", program, str(root), run_id, name]) for name in "ab"]
-    assert [writer.wait(300) for writer in writers] == [0, 0]
+    writers = [fork_program("tests.code", program, root, run_id, name) for name in "ab"]
+    assert [writer.process.wait(300) for writer in writers] == [0, 0]
     events = store.events(run_id)()
     assert len(events) == 41
     assert {name for event in events for name in event.metrics} == {"a", "b"}

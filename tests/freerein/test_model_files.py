@@ -1,8 +1,8 @@
 """What it takes to load a network from a folder."""
 
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 MODELS = Path(__file__).parents[2] / "models"
 LOAD = """
@@ -13,6 +13,10 @@ import torch
 from freerein_imitation.methods import METHODS
 from freerein_reward.model.loading import load_grounding
 
+for name in [each for each in sys.modules if each.split(".")[:2] == ["torch", "_dynamo"]]:
+    del sys.modules[name]  # as of a process that has imported no compiler
+if hasattr(torch, "_dynamo"):
+    del torch._dynamo
 state = torch.random.get_rng_state()
 METHODS.load(Path(sys.argv[1]), "cpu")
 load_grounding(Path(sys.argv[2]), "cpu")
@@ -20,7 +24,6 @@ print(torch.equal(state, torch.random.get_rng_state()), "torch._dynamo" in sys.m
 """
 
 
-def test_to_load_a_network_draws_no_numbers_and_imports_no_compiler() -> None:
+def test_to_load_a_network_draws_no_numbers_and_imports_no_compiler(fork_program: Callable[..., Any]) -> None:
     folders = [next((MODELS / name).glob("*/")) for name in ("imitation/default", "reward/grounding")]
-    loaded = subprocess.run([sys.executable, "-c", LOAD, *folders], capture_output=True, text=True, check=True)
-    assert loaded.stdout.split() == ["True", "False"]
+    assert fork_program("tests.code", LOAD, *folders).stdout.read().split() == ["True", "False"]

@@ -40,7 +40,7 @@ def test_conditions_numbers_names_and_statements_are_changed_and_texts_for_peopl
 
 
 def test_every_mutant_is_a_python_file() -> None:
-    for mutant in all_mutants()[::20]:
+    for mutant in all_mutants()[::60]:
         compile(mutant.edit.apply((ROOT / mutant.path).read_bytes()), mutant.path, "exec")
 
 
@@ -88,7 +88,7 @@ def test_a_blind_test_lets_a_mutant_survive(make_copy: Callable[[str], Copy], te
 def test_a_mutant_that_does_not_end_is_ended(make_copy: Callable[[str], Copy]) -> None:
     copy = make_copy(BLIND)
     source = (copy.folder / "src/code_under_test.py").read_bytes()
-    endless = Edit(0, len(source), "", "while True:\n    pass\n")
+    endless = Edit(0, len(source), "", "import signal\n\nsignal.pause()\n")
     assert copy.try_edit("src/code_under_test.py", endless, ["test_it.py"], timeout_s=1) is Outcome.TIMED_OUT
     with pytest.raises(RuntimeError, match="exit code 4"):
         copy.test(["test_that_is_not_there.py"], timeout_s=300)
