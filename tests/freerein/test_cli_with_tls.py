@@ -1,5 +1,6 @@
 """The command line and a service with TLS and a token."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -15,23 +16,35 @@ from freerein.types.sim import ListTasksRequest
 pytestmark = pytest.mark.e2e
 
 
+@pytest.fixture(scope="module")
+def shared(certificate: tuple[Path, Path]) -> dict[str, str]:
+    """The environment of the service and of those who call it."""
+    return {"FREEREIN_HOST": "0.0.0.0", "FREEREIN_TLS_CERT": str(certificate[1]), "FREEREIN_TOKEN": "right"}
+
+
+@pytest.fixture(scope="module")
+def service(start_module_service: Any, certificate: tuple[Path, Path], shared: dict[str, str]) -> Any:
+    """A sim service with a certificate, at all addresses and at other ports than usual."""
+    key = str(certificate[0])
+    return start_module_service("freerein_sim", FREEREIN_TLS_KEY=key, FREEREIN_SIM_WORKERS="1", **shared)
+
+
 @pytest.fixture
-def sim(start_service: Any, certificate: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A sim service with a certificate, at all addresses and at other ports than usual, as the environment says."""
-    key, chain = map(str, certificate)
-    shared = {"FREEREIN_HOST": "0.0.0.0", "FREEREIN_TLS_CERT": chain, "FREEREIN_TOKEN": "right"}
-    service = start_service("freerein_sim", FREEREIN_TLS_KEY=key, FREEREIN_SIM_WORKERS="1", **shared)
+def sim(service: Any, shared: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The service, and an environment that says where it is."""
     ports = {"FREEREIN_HTTP_PORT": str(service.http_port), "FREEREIN_GRPC_PORT": str(service.grpc_port)}
     for variable, value in (shared | ports).items():
         monkeypatch.setenv(variable, value)
     return service
 
 
-async def test_the_doctor_and_the_command_line_speak_tls(sim: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_doctor_and_the_command_line_speak_tls(
+    sim: Any, monkeypatch: pytest.MonkeyPatch, wait_until: Callable[..., float]
+) -> None:
     monkeypatch.setattr(services, "_TIMEOUT_S", 60.0)
     (check,) = services.checks(["sim"])
-    while (found := check()).state == "warning":
-        pass  # its workers start
+    wait_until(lambda: check().state != "warning", 300)  # its workers start
+    found = check()
     assert (found.state, found.detail) == ("ok", f"ready at {sim.url.replace('http', 'https')}, gRPC {sim.address}")
     monkeypatch.setenv("FREEREIN_SIM_ADDRESS", sim.address)
     async with connect(SimClient, "sim") as client:

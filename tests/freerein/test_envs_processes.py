@@ -42,7 +42,10 @@ def run_python(*arguments: str) -> "subprocess.CompletedProcess[str]":
 
 
 @pytest.mark.e2e
-@pytest.mark.parametrize(("context", "state"), [("fork", "closed"), ("spawn", "open"), ("forkserver", "open")])
+@pytest.mark.parametrize(
+    ("context", "state"),
+    [("fork", "closed"), ("spawn", "open"), pytest.param("forkserver", "open", marks=pytest.mark.long)],
+)
 def test_environments_of_child_processes_work(address: str, context: str, state: str, tmp_path: Any) -> None:
     script = tmp_path / "make_async.py"
     script.write_text(MAKE_ASYNC)
