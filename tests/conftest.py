@@ -177,7 +177,7 @@ def _serve_forks() -> "subprocess.Popen[bytes]":
     os.environ[_FORK_SERVER] = str(Path(tempfile.mkdtemp(), "fork-server"))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as requests:
         requests.bind(os.environ[_FORK_SERVER])
-        module = ("freerein.cli.services.die_with_parent", str(os.getpid()), "tests.fork_services")
+        module = ("freerein.die_with_parent", str(os.getpid()), "tests.fork_services")
         command = [sys.executable, "-m", *module, str(requests.fileno())]
         return subprocess.Popen(command, env={**os.environ, **_SERVICE_ENVIRON}, pass_fds=[requests.fileno()])
 

@@ -144,7 +144,7 @@ class ServiceProcess:
                 *(
                     sys.executable,
                     "-m",
-                    "freerein.cli.services.die_with_parent",
+                    "freerein.die_with_parent",
                     str(os.getpid()),
                     self._command.module,
                 ),

@@ -1,6 +1,6 @@
-"""`python -m freerein.cli.services.die_with_parent PARENT MODULE`: `python -m MODULE` that dies with its parent.
+"""`python -m freerein.die_with_parent PARENT MODULE`: `python -m MODULE` that dies with its parent.
 
-Sets the kernel's parent death signal to SIGKILL before the module is loaded. A `preexec_fn` instead would run Python in
+Sets the kernel's parent death signal to SIGKILL before anything is loaded. A `preexec_fn` instead would run Python in
 the fork of a process with threads, which can deadlock. A kill loses nothing: services write durably.
 """
 
