@@ -21,20 +21,18 @@ from freerein.errors import DeadlineExceeded, FailedPrecondition
 from freerein.ports import Ports
 
 _READY = """
-import http.server, os, signal, subprocess, sys
-class Answer(http.server.BaseHTTPRequestHandler):
-    def do_GET(self):
-        self.send_response(200)
-        self.end_headers()
-    def log_message(self, *_):
-        pass
+import os, signal, socket, subprocess, sys
 def drain(*_):
     print("drained", flush=True)
     sys.exit(0)
 signal.signal(signal.SIGTERM, drain)
 worker = subprocess.Popen(["sleep", "600"])
 print("worker", worker.pid, flush=True)
-http.server.HTTPServer(("127.0.0.1", int(os.environ["FREEREIN_HTTP_PORT"])), Answer).serve_forever()
+with socket.create_server(("127.0.0.1", int(os.environ["FREEREIN_HTTP_PORT"]))) as server:
+    while True:
+        with server.accept()[0] as connection:
+            connection.recv(65536)
+            connection.sendall(b"HTTP/1.1 200 OK\\r\\ncontent-length: 0\\r\\nconnection: close\\r\\n\\r\\n")
 """
 _MISCONFIGURED = 'import sys; sys.exit(sys.stderr.write("cannot start: FREEREIN_QUEUE: too small\\n") and 3)'
 _TOLD = 'import os, sys; print(os.environ["FREEREIN_SIM_ADDRESS"]); sys.exit(3)'

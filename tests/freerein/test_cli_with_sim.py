@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,6 @@ from freerein.cli.__main__ import app
 from freerein.cli.commands import sim
 from freerein.cli.commands.sim import record
 from freerein.cli.jobs.streams import reconnecting
-from freerein.cli.services import RestartPolicy, Stack, choose
 from freerein.clients import Channel, SimClient
 from freerein.data import Dataset
 from freerein.types.sim import DemonstrateRequest
@@ -105,27 +104,22 @@ def test_what_is_refused_leaves_no_dataset(recorder: Path, words: list[str]) -> 
 
 @pytest.mark.fault("C19")
 async def test_a_recording_goes_on_when_its_service_is_killed(
-    tmp_path: Path, reserve_ports: Any, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, start_service: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request = DemonstrateRequest("grid", "expert", max_skills=2, count=150)  # more than can be under way at once
     monkeypatch.setattr(sim, "reconnecting", partial(reconnecting, timeout_s=300.0))
-    hasty = RestartPolicy(first_delay_s=0.01)
-    services = choose(["sim"])
-    async with Stack(
-        services, data_dir=tmp_path, environ=os.environ, ports=reserve_ports(services), policy=hasty
-    ) as stack:
-        await stack.ready(timeout_s=300)
+    started = [start_service("freerein_sim", FREEREIN_SIM_WORKERS="1")]
 
-        def kill_in_the_middle(count: int) -> None:
-            if count == 2 and stack.statuses[0].restarts == 0:
-                os.kill(stack.statuses[0].pid, signal.SIGKILL)
+    def kill_in_the_middle(count: int) -> None:
+        if count == 2 and len(started) == 1:
+            started[0].kill()
+            port = str(started[0].grpc_port)
+            started.append(start_service("freerein_sim", FREEREIN_SIM_WORKERS="1", FREEREIN_GRPC_PORT=port))
 
-        async with SimClient(Channel(stack.addresses["sim"])) as client:
-            await record(client, request, tmp_path / "killed", on_count=kill_in_the_middle)
-            await stack.ready(timeout_s=300)
-            await record(client, request, tmp_path / "whole", on_count=lambda _: None)
-
-        assert stack.statuses[0].restarts == 1
+    async with SimClient(Channel(started[0].address)) as client:
+        await record(client, request, tmp_path / "killed", on_count=kill_in_the_middle)
+        await record(client, request, tmp_path / "whole", on_count=lambda _: None)
+    assert len(started) == 2
     assert Dataset(tmp_path / "killed").fingerprint == Dataset(tmp_path / "whole").fingerprint
 
 
