@@ -260,7 +260,8 @@ def read_teachers(root: Path) -> list[dict[str, Any]]:
 
 def _with_quantiles(stored: pa.Table, schema: pa.Schema) -> pa.Table:
     """Returns a table of an earlier version, which had no quantiles, in the present columns; any other as it is."""
-    missing = [field for field in schema if field.name not in stored.column_names]
+    present = set(stored.column_names)  # which pyarrow makes anew each time
+    missing = [field for field in schema if field.name not in present]
     if not missing or not all(field.name.rpartition("/")[2] in QUANTILES for field in missing):
         return stored
     for field in missing:
