@@ -105,7 +105,7 @@ async def measure(
     findings: Findings, load: Load, loading: "asyncio.Task[None]", stack: Stack, running: Services, *, every_s: float
 ) -> None:
     """Samples all services until the load ends, and shows how it goes."""
-    begun = time.monotonic()
+    begun, told = time.monotonic(), 0
     while not loading.done():
         await asyncio.wait([loading], timeout=every_s)
         for name, sample in (await watch.sample(stack, running.rest, findings.failures)).items():
@@ -113,6 +113,9 @@ async def measure(
         memory = "  ".join(f"{name} {some[-1].rss_mib:.0f}" for name, some in findings.samples.items())
         came, failed = load.tally.clients.total(), len(load.tally.failures)
         print(f"{time.monotonic() - begun:6.0f} s  {came:7} clients  {failed} failures  MiB: {memory}", flush=True)
+        for failure in load.tally.failures[told:failed]:
+            print(f"          {failure}", flush=True)
+        told = failed
 
 
 async def sessions_left(running: Services) -> list[str]:

@@ -37,9 +37,18 @@ async def sample(stack: Stack, client: httpx.AsyncClient, failures: list[str]) -
 
     A service whose metrics cannot be read is left out, and added to `failures`.
     """
-    rss = {name: sum(one.memory_info().rss for one in found) / _MIB for name, found in processes(stack).items()}
+    rss = {name: sum(map(_rss, found)) / _MIB for name, found in processes(stack).items()}
     calls = {name: await total(name, client, stack.urls[name], _CALLS, failures) for name in rss}
     return {name: Sample(number, rss[name]) for name, number in calls.items() if not math.isnan(number)}
+
+
+def _rss(process: psutil.Process) -> int:
+    """Returns the memory of a process in bytes; 0 where it has just ended, as decoders of videos do."""
+    try:
+        rss: int = process.memory_info().rss
+    except psutil.NoSuchProcess:
+        return 0
+    return rss
 
 
 async def held(stack: Stack, client: httpx.AsyncClient, failures: list[str]) -> dict[str, Held]:
