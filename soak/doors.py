@@ -9,12 +9,12 @@ from functools import cache, partial
 import numpy as np
 from websockets.asyncio.client import connect
 
-from freerein.errors import Overloaded
 from freerein.types.segmentation import SegmentHello, SegmentRequest, SegmentStreamRequest, Timesteps
 from freerein_imitation.openpi.messages import pack, unpack
 from soak.questions import Answer, Question, Services, WrongAnswer, trajectory
 
 _OF_EACH_KIND = 4
+_turns = asyncio.Lock()
 
 
 def all_doors() -> list[Question]:
@@ -53,14 +53,10 @@ async def label_stream(services: Services, timeout_s: float, seed: int) -> Answe
 
 
 async def video(services: Services, timeout_s: float, seed: int) -> Answer:
-    """Asks for the labels of a video; comes again while too many are decoded."""
+    """Asks for the labels of a video; one client after the other, as a service refuses what it cannot decode at once."""
     request = SegmentRequest(video=_video(seed), actions=trajectory(seed)[1])
-    async with asyncio.timeout(timeout_s):
-        while True:
-            try:
-                return (await services.segmentation.segment(request, timeout_s=timeout_s)).labels
-            except Overloaded as full:
-                await asyncio.sleep(full.retry_after_s or 0)
+    async with _turns:
+        return (await services.segmentation.segment(request, timeout_s=timeout_s)).labels
 
 
 @cache
