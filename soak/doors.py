@@ -53,7 +53,7 @@ async def label_stream(services: Services, timeout_s: float, seed: int) -> Answe
 
 
 async def video(services: Services, timeout_s: float, seed: int) -> Answer:
-    """Asks for the labels of a video; one client after the other, as a service refuses what it cannot decode at once."""
+    """Asks for the labels of a video; one client after the other, as a service decodes two at once."""
     request = SegmentRequest(video=_video(seed), actions=trajectory(seed)[1])
     async with _turns:
         return (await services.segmentation.segment(request, timeout_s=timeout_s)).labels
