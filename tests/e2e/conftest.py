@@ -29,8 +29,8 @@ def read_blocks() -> Callable[[str, str], list[str]]:
 
 
 @pytest.fixture
-def commands(fork_child: object, tmp_path: Path) -> Path:
-    """A folder for `PATH` with the command `freerein`, and `freerein-python BLOCK`; `forked.py` forks them."""
+def commands(tmp_path: Path) -> Path:
+    """A folder for `PATH` with `freerein`, and `freerein-python BLOCK`: `forked.py`, once a service was started."""
     folder = tmp_path / "bin"
     folder.mkdir()
     for name, program in (("freerein", "freerein"), ("freerein-python", "python")):

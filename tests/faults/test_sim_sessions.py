@@ -178,7 +178,7 @@ def test_sessions_that_were_closed_leave_nothing_behind(sim: Any, service: Any, 
 
     before = cycle(100)
     files, threads = ([process.num_fds() for process in processes], [process.num_threads() for process in processes])
-    after = cycle(10_000 if fuzz else 200)
+    after = cycle(10_000 if fuzz else 100)
     assert [process.num_fds() for process in processes] == files
     assert all(process.num_threads() <= then + POOL for process, then in zip(processes, threads, strict=True))
     assert children_running("freerein_sim.workers", service.process.pid) == processes[1:]

@@ -234,6 +234,7 @@ def test_a_client_that_does_not_read_is_cut_off_and_fills_no_memory(faulty: Any,
             while open_to(faulty, connection.getsockname()[1]):
                 with contextlib.suppress(OSError):
                     connection.send(b"G")  # a live client that sends, and still reads nothing
+                time.sleep(0.02)
         assert time.monotonic() - begun > WRITE_S - 0.2
         return time.monotonic() - full
 
