@@ -319,15 +319,15 @@ def test_a_run_whose_folder_was_deleted_is_gone_and_disturbs_nobody(begin):
 
 
 @pytest.mark.fault("O5")
-def test_a_run_goes_on_when_there_is_room_again_for_what_its_attempt_came_to(begin, tmp_path):
+def test_a_run_goes_on_when_there_is_room_again_for_what_its_attempt_came_to(begin, tmp_path, wait_until):
     worker = begin()
     run_id = worker.start(wait_at=3)
     worker.watch(run_id, until_step=3)
     process, whole = psutil.Process(worker.process.pid), (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
     process.rlimit(resource.RLIMIT_FSIZE, (32_768, resource.RLIM_INFINITY))  # enough for the log, not for the database
     worker.child(run_id).kill()
-    while "cannot be recorded" not in (tmp_path / "worker.log").read_text():
-        assert worker.process.poll() is None
+    wait_until(lambda: "cannot be recorded" in (tmp_path / "worker.log").read_text(), 300)
+    assert worker.process.poll() is None
     process.rlimit(resource.RLIMIT_FSIZE, whole)
     assert worker.watch(run_id)[-1]["state"] == "succeeded"
     assert worker.steps(run_id) == [1, 2, 3, 4, 5]

@@ -65,6 +65,11 @@ class Orchestrator:
     async def get(self, run_id: str) -> Run:
         return (await self.runs.get_run(GetRunRequest(run_id))).run
 
+    async def until(self, run_id: str, state: JobState) -> None:
+        """Returns when a run is in a state."""
+        while (await self.get(run_id)).state != state:  # noqa: ASYNC110 -- only a watcher is told
+            await asyncio.sleep(0.01)
+
     async def watch(self, run_id: str) -> list[JobState]:
         return [event.run.state async for event in self.runs.watch_run(WatchRunRequest(run_id))]
 
@@ -136,8 +141,7 @@ async def test_a_run_that_is_resumed_while_a_list_is_made_is_not_noted_as_ended(
     orchestrator.between = resume
     await orchestrator.runs.list_runs(ListRunsRequest())
     orchestrator.attempts.append(AttemptResult("succeeded"))
-    while (await orchestrator.get(run_id)).state != "succeeded":
-        pass
+    await orchestrator.until(run_id, "succeeded")
     assert await orchestrator.watch(run_id) == ["queued", "cancelled", "queued", "running", "succeeded"]
 
 
@@ -207,12 +211,10 @@ async def test_a_run_is_deleted_once_it_has_ended_unless_another_builds_on_it(or
 async def test_a_run_that_is_attempted_has_not_ended_whatever_was_recorded_last(orchestrator):
     run_id = await orchestrator.start()
     orchestrator.queue.cancel(run_id)
-    while (await orchestrator.get(run_id)).state != "cancelled":
-        pass
+    await orchestrator.until(run_id, "cancelled")
     orchestrator.queue.resume(run_id)  # by a worker that gave up on the database too soon to record it
     orchestrator.attempts.append(AttemptResult("succeeded"))
-    while (await orchestrator.get(run_id)).state != "succeeded":
-        pass
+    await orchestrator.until(run_id, "succeeded")
     assert (await orchestrator.watch(run_id))[-4:] == ["cancelled", "queued", "running", "succeeded"]
 
 
@@ -232,8 +234,8 @@ async def test_a_run_that_has_just_succeeded_can_no_longer_be_cancelled(orchestr
     with pytest.raises(FailedPrecondition):
         await orchestrator.runs.resume_run(ResumeRunRequest(run_id))
     orchestrator.attempts.append(AttemptResult("succeeded"))
-    while (state := orchestrator.queue.status(run_id).state) == "running":
-        pass
+    while (state := orchestrator.queue.status(run_id).state) == "running":  # noqa: ASYNC110 -- nobody is told
+        await asyncio.sleep(0.01)
     assert state == "succeeded"
 
 
