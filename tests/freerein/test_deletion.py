@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import PIL.Image
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from freerein.atomic_files import delete_folder
 from freerein.cli.__main__ import app
