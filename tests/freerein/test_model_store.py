@@ -2,7 +2,8 @@
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -150,6 +151,23 @@ def test_another_version_than_expected_is_not_replaced(store: ModelStore, publis
     with pytest.raises(FailedPrecondition, match=second.version):
         store.activate(third, expected_current=first.version)
     assert store.active_version("default") == second.version
+
+
+def test_a_version_that_is_deleted_while_its_activation_waits_is_not_activated(
+    store: ModelStore, publish: Publish, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ref, _ = publish("a"), publish("b")
+
+    @contextmanager
+    def held_by_a_deletion() -> Iterator[None]:
+        monkeypatch.undo()
+        store.delete([ref])
+        yield
+
+    monkeypatch.setattr(store, "_changing", held_by_a_deletion())
+    with pytest.raises(NotFound):
+        store.activate(ref)
+    assert store.active_version("default") == ""
 
 
 async def test_the_active_model_is_loaded_before_it_is_ready_and_once(

@@ -66,8 +66,8 @@ class ModelStore:
             NotFound: The model does not exist.
             FailedPrecondition: The active version is not `expected_current`.
         """
-        self._find(ref)
         with self._changing:
+            self._find(ref)
             current = self.active_version(ref.name)
             if expected_current and expected_current != current:
                 raise FailedPrecondition(
