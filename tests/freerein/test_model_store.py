@@ -170,6 +170,27 @@ def test_a_version_that_is_deleted_while_its_activation_waits_is_not_activated(
     assert store.active_version("default") == ""
 
 
+@pytest.mark.parametrize("asked", ["models", "active version", "folder"])
+def test_a_version_that_is_deleted_while_it_is_read_is_not_there(
+    store: ModelStore, publish: Publish, monkeypatch: pytest.MonkeyPatch, asked: str
+) -> None:
+    refs = [publish("a"), publish("b")]
+    store.activate(refs[0])
+    read_bytes = Path.read_bytes
+
+    def deleted_first(path: Path) -> bytes:
+        monkeypatch.undo()
+        store.delete(refs, even_active=True)
+        return read_bytes(path)
+
+    monkeypatch.setattr(Path, "read_bytes", deleted_first)
+    if asked == "folder":
+        with pytest.raises(NotFound):
+            store.folder(refs[0])
+    else:
+        assert not (store.models() if asked == "models" else store.active_version("default"))
+
+
 async def test_the_active_model_is_loaded_before_it_is_ready_and_once(
     store: ModelStore, publish: Publish, models: ModelCache[str], loader: Loader
 ) -> None:

@@ -115,9 +115,10 @@ class ModelCache(Generic[M]):
         name = check_name(request.name or DEFAULT_NAME, field="name")
         ref = ModelRef(name, check_name(request.version, field="version"))
         await self._get(ref)
-        folder = await asyncio.to_thread(self._store.folder, ref)  # checks the files again
-        await asyncio.to_thread(self._store.activate, ref, expected_current=request.expected_current)
-        return ActivateModelResponse(Model(ref, True, model_card(folder), self._store.published_ns(folder)))
+        async with self._loading:  # nor is it deleted meanwhile
+            folder = await asyncio.to_thread(self._store.folder, ref)  # checks the files again
+            await asyncio.to_thread(self._store.activate, ref, expected_current=request.expected_current)
+            return ActivateModelResponse(Model(ref, True, model_card(folder), self._store.published_ns(folder)))
 
     async def delete_model(self, request: DeleteModelRequest) -> DeleteModelResponse:
         """Deletes a version, or all of a name; requests that have it already are answered.

@@ -119,8 +119,9 @@ class ModelStore:
         """Returns the active version of a name, empty when there is none."""
         for root in self._roots:
             path = root / name / "active.json"
-            if path.is_file():
-                return _version(path)
+            with suppress(FileNotFoundError):  # deleted meanwhile
+                if path.is_file():
+                    return _version(path)
         return ""
 
     def names(self) -> tuple[str, ...]:
@@ -129,17 +130,14 @@ class ModelStore:
 
     def models(self) -> tuple[Model, ...]:
         """Returns every version of every model, sorted by name, newest version first."""
-        found: dict[ModelRef, Path] = {}
-        for root in self._roots:
-            for folder in _folders(root):
-                versions = [path for path in _folders(folder) if (path / MANIFEST).is_file()]
-                for path in sorted(versions, key=lambda version: version.stat().st_mtime, reverse=True):
-                    found.setdefault(ModelRef(folder.name, path.name), path)
-        by_name = sorted(found.items(), key=lambda entry: entry[0].name)  # stable: newest first within a name
-        return tuple(
-            Model(ref, self.active_version(ref.name) == ref.version, model_card(path), self.published_ns(path))
-            for ref, path in by_name
-        )
+        found: dict[ModelRef, Model] = {}
+        for folder in (folder for root in self._roots for folder in _folders(root)):
+            for path in _newest_first(folder):
+                ref = ModelRef(folder.name, path.name)
+                active = self.active_version(ref.name) == ref.version
+                with suppress(FileNotFoundError):  # deleted meanwhile
+                    found.setdefault(ref, Model(ref, active, model_card(path), self.published_ns(path)))
+        return tuple(sorted(found.values(), key=lambda model: model.ref.name))  # stable: newest first within a name
 
     def folder(self, ref: ModelRef) -> Path:
         """Returns the folder of a version after checking every file against the manifest.
@@ -147,12 +145,11 @@ class ModelStore:
         Raises NotFound when the model does not exist, FailedPrecondition when a file is missing or changed.
         """
         folder = self._find(ref)
-        manifest = (folder / MANIFEST).read_bytes()
-        intact = hashlib.sha256(manifest).hexdigest().startswith(ref.version) and all(
-            (folder / name).is_file() and _sha256(folder / name) == digest
-            for name, digest in json.loads(manifest)["files"].items()
-        )
-        if not intact:
+        try:
+            is_intact = _is_intact(folder)
+        except FileNotFoundError:  # deleted meanwhile
+            raise _not_found(field="model") from None
+        if not is_intact:
             raise FailedPrecondition(
                 f"The files of model {ref.name} {ref.version} must match its manifest; one is missing or changed.",
                 field="model",
@@ -206,10 +203,29 @@ def _version(path: Path) -> str:
         ) from None
 
 
+def _is_intact(folder: Path) -> bool:
+    manifest = (folder / MANIFEST).read_bytes()
+    return hashlib.sha256(manifest).hexdigest().startswith(folder.name) and all(
+        (folder / name).is_file() and _sha256(folder / name) == digest
+        for name, digest in json.loads(manifest)["files"].items()
+    )
+
+
+def _newest_first(folder: Path) -> list[Path]:
+    """Returns the folders of the versions of a model."""
+    dated = []
+    for path in _folders(folder):
+        with suppress(FileNotFoundError):  # deleted meanwhile
+            if (path / MANIFEST).is_file():
+                dated.append((path.stat().st_mtime_ns, path))
+    return [path for _, path in sorted(dated, reverse=True)]
+
+
 def _folders(path: Path) -> Iterator[Path]:
     """Yields the folders in a folder, without hidden ones, which are being deleted."""
-    found = path.iterdir() if path.is_dir() else iter(())
-    return (entry for entry in found if entry.is_dir() and not entry.name.startswith("."))
+    with suppress(FileNotFoundError):  # deleted meanwhile
+        found = path.iterdir() if path.is_dir() else iter(())
+        yield from (entry for entry in found if entry.is_dir() and not entry.name.startswith("."))
 
 
 def _sha256(path: Path) -> str:
