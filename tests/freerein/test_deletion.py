@@ -101,10 +101,10 @@ async def test_of_versions_of_which_one_is_in_use_all_stay(tmp_path: Path, store
 def test_what_a_killed_deletion_left_is_listed_nowhere_and_goes_with_the_next(tmp_path: Path) -> None:
     store, runs = ModelStore(tmp_path / "models"), JobStore(tmp_path / "runs", noun="run")
     left, deleted = published(tmp_path, "a"), published(tmp_path, "b")
-    store.folder(left).rename(tmp_path / "models" / "tiny" / ".deleted-0")
+    store.folder(left).rename(tmp_path / "models" / "tiny" / ".deleted-00000000")
     assert [model.ref for model in store.models()] == [deleted] == list(store.published("tiny"))
     run_id, other = (job(tmp_path, "runs", {}) for _ in "ab")
-    runs.folder(run_id).rename(tmp_path / "runs" / ".deleted-0")
+    runs.folder(run_id).rename(tmp_path / "runs" / ".deleted-00000000")
     assert runs.page(0, "") == ([other], "")
     delete_folder(runs.folder(other))
     store.delete([deleted])
@@ -147,6 +147,16 @@ def test_what_a_fit_or_run_names_is_in_use_until_it_has_ended(
         check_unused(tmp_path, "It", is_named)
     JobStore(tmp_path / folder, noun="run").record(job_id, "cancelled")
     check_unused(tmp_path, "It", is_named)
+
+
+@pytest.mark.parametrize("damage", ["", "5"])
+def test_a_job_whose_configuration_is_damaged_may_use_anything_and_is_named(tmp_path: Path, damage: str) -> None:
+    run_id = job(tmp_path, "runs", {})
+    (tmp_path / "runs" / run_id / "config.json").write_text(damage)
+    with pytest.raises(FailedPrecondition, match=f"run {run_id[:8]}, .* is damaged"):
+        check_unused(tmp_path, "It", names_dataset("demos"))
+    (tmp_path / "runs" / run_id / "events.jsonl").write_text(f"{damage}\n")  # nobody can attempt it
+    check_unused(tmp_path, "It", names_dataset("demos"))
 
 
 @pytest.mark.parametrize(
@@ -231,17 +241,34 @@ def test_a_dataset_is_replaced_once_the_new_one_is_whole(tmp_path: Path, demos: 
 
 
 def test_decoded_frames_are_pruned_and_what_killed_processes_left_and_nothing_else(tmp_path: Path, demos: Path) -> None:
+    datasets, abandoned, busy = demos.parent, demos.with_name(".import-00000000"), demos.with_name(".import-00000001")
     frames = Dataset(demos).cached_frames("top")
-    (demos / "cache" / "mine").mkdir()
-    (demos / "cache" / "mine" / "notes.txt").write_text("of the user")
-    recorded(demos.with_name(".import-0") / "half")
-    with in_use(demos.with_name(".import-1")):
+    (cached,) = (demos / "cache").iterdir()
+    (recorded(tmp_path / "elsewhere") / "cache").mkdir()
+    (tmp_path / "elsewhere/cache" / cached.name).symlink_to(cached)
+    kept = [
+        cached / "notes.txt",
+        cached / "z.raw" / "0.raw",
+        cached / "actions.raw" / "0.raw",
+        demos / "cache" / "mine" / "actions.raw",
+        datasets / "foreign" / "cache" / cached.name / "actions.raw",
+        *(datasets / name / "0" for name in (".Trash-1000", ".blocks-old", ".import-mine", ".deleted-scenes")),
+    ]
+    for path in kept:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("of the user")
+    (cached / "terminations.raw").symlink_to(kept[0])
+    (datasets / "linked").symlink_to(recorded(tmp_path / "large"))
+    linked = Dataset(datasets / "linked").cached_actions()
+    recorded(abandoned / "half")
+    with in_use(busy):
         result = freerein("dataset", "prune", "--json")
         assert json.loads(result.stdout)["freed_bytes"] > 3 * 4 * 5 * 3
-        assert {path.name for path in demos.parent.iterdir()} == {"demos", ".import-1"}
-    assert [path.name for path in (demos / "cache").rglob("*")] == ["mine", "notes.txt"]
+    assert all(path.is_file() for path in [*kept, Path(linked.steps.filename), cached / "terminations.raw"])
+    assert (abandoned.exists(), busy.exists(), (cached / "frames-top.raw").exists()) == (False, True, False)
     assert frames[0].shape == (3, 4, 5, 3)  # a fit that reads them goes on
     assert np.array_equal(Dataset(demos).cached_frames("top")[0], frames[0])
+    assert all(path.is_file() for path in kept)
 
 
 def test_a_recording_of_nothing_leaves_no_dataset_and_an_empty_one_is_in_nobodys_way(tmp_path: Path) -> None:

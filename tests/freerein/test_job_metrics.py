@@ -45,6 +45,9 @@ async def test_jobs_are_counted_by_state_and_the_most_silent_one_is_dated(tmp_pa
     shutil.rmtree(store.folder(done))
     with (store.folder(busy) / "events.jsonl").open("ab") as events:
         events.write(b'{"state": "torn')
+    for damage in (b"5", b"nonsense", b'{"state": "running", "time_ns": "yesterday"}'):
+        with (store.folder(store.create(REQUEST, {"steps": 1})) / "events.jsonl").open("ab") as events:
+            events.write(damage + b"\n")
     found = await read(metrics)
     assert [found[f'jobs{{kind="fit",state="{state}"}}'] for state in ("running", "failed", "succeeded")] == [1, 1, 0]
     assert found['running_job_changed_seconds{kind="fit"}'] == 7

@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +27,26 @@ def check_unused(data_dir: Path, what: str, is_named: IsNamed) -> None:
         is_named: Whether a configuration names it.
 
     Raises:
-        FailedPrecondition: A fit or run names it.
+        FailedPrecondition: A fit or run names it, or may, for its configuration is damaged.
     """
     for store in _stores(data_dir):
         for job_id in store.unfinished():
-            with suppress(NotFound):  # deleted meanwhile
-                if is_named(store.config(job_id)):
-                    command = f"freerein {'fit' if store.noun == 'fit' else 'runs'}"
-                    raise FailedPrecondition(
-                        f"{what} must not be in use; {store.noun} {job_id[:8]}, which has not ended, names it.",
-                        hint=f"Wait for its end, or end it: `{command} cancel {job_id[:8]}`.",
-                    )
+            job = f"{store.noun} {job_id[:8]}, which has not ended"
+            try:
+                is_used = is_named(store.config(job_id))
+            except NotFound:  # deleted meanwhile
+                continue
+            except (OSError, ValueError, TypeError):
+                raise FailedPrecondition(
+                    f"{what} must not be in use; {job}, may name it: its configuration is damaged.",
+                    hint=f"Delete the folder of {store.noun} {job_id} in the data directory, or restore its config.json.",
+                ) from None
+            if is_used:
+                command = f"freerein {'fit' if store.noun == 'fit' else 'runs'}"
+                raise FailedPrecondition(
+                    f"{what} must not be in use; {job}, names it.",
+                    hint=f"Wait for its end, or end it: `{command} cancel {job_id[:8]}`.",
+                )
 
 
 def names_dataset(name: str) -> IsNamed:

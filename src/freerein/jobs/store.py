@@ -191,7 +191,7 @@ class JobStore:
         return ids[start:end], ids[end - 1] if end < len(ids) else ""
 
     def unfinished(self) -> list[str]:
-        """Returns the ids of the jobs that have not ended, oldest first, without those of incomplete folders."""
+        """Returns the ids of the jobs that have not ended, oldest first, without those that cannot be read."""
         return [job_id for job_id in reversed(self._newest_first()) if self._is_unfinished(job_id)]
 
     def record(self, job_id: str, state: JobState, **changes: Any) -> None:
@@ -332,8 +332,8 @@ class JobStore:
     def _is_unfinished(self, job_id: str) -> bool:
         try:
             return not self.last(job_id).ended
-        except NotFound:
-            _log.warning("a job is left out, for files of its folder are missing", extra={"job": job_id})
+        except (NotFound, ValueError, TypeError):
+            _log.warning("a job is left out, for files of its folder are missing or damaged", extra={"job": job_id})
             return False
 
     def _not_found(self) -> NotFound:

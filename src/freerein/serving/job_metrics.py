@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
@@ -26,7 +26,7 @@ class DataMetrics(Collector):
     def __init__(self) -> None:
         self.data_dir: Path | None = None
         self.jobs: Mapping[str, Path] = {}
-        self._read: dict[Path, tuple[int, dict[str, Any]]] = {}
+        self._read: dict[Path, tuple[int, str, float]] = {}
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
         """Yields the metrics; without samples where a folder cannot be read."""
@@ -39,22 +39,22 @@ class DataMetrics(Collector):
         for kind, folder in self.jobs.items():
             events = self._last_events(folder)
             for state in get_args(JobState):
-                counted.add_metric((kind, state), sum(event.get("state") == state for event in events))
-            times = [event.get("time_ns", 0) / 1e9 for event in events if event.get("state") == "running"]
-            if times:
+                counted.add_metric((kind, state), sum(found == state for found, _ in events))
+            if times := [time_s for state, time_s in events if state == "running"]:
                 changed.add_metric((kind,), min(times))
         yield counted
         yield changed
         yield from self._disk()
 
-    def _last_events(self, folder: Path) -> list[dict[str, Any]]:
-        found: dict[Path, tuple[int, dict[str, Any]]] = {}
+    def _last_events(self, folder: Path) -> list[tuple[str, float]]:
+        """Returns the state and the Unix time in seconds of the last event of each job that can be read."""
+        found: dict[Path, tuple[int, str, float]] = {}
         for path in folder.glob(f"{_JOB}/events.jsonl"):
-            with suppress(OSError, ValueError):  # deleted meanwhile, or torn
+            with suppress(OSError, ValueError, TypeError):  # deleted meanwhile, or malformed
                 size, known = path.stat().st_size, self._read.get(path)
-                found[path] = known if known and known[0] == size else (size, last_document(path) or {})
+                found[path] = known if known and known[0] == size else (size, *_state_and_time_s(path))
         self._read = {path: each for path, each in self._read.items() if folder not in path.parents} | found
-        return [event for _, event in found.values()]
+        return [(state, time_s) for _, state, time_s in found.values()]
 
     def _disk(self) -> Iterator[GaugeMetricFamily]:
         families = (
@@ -67,3 +67,8 @@ class DataMetrics(Collector):
                 for family, value in zip(families, (disk.free, disk.total), strict=True):
                     family.add_metric((), value)
         yield from families
+
+
+def _state_and_time_s(path: Path) -> tuple[str, float]:
+    event = last_document(path) or {}
+    return str(event.get("state")), event.get("time_ns", 0) / 1e9
