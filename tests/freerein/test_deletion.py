@@ -27,6 +27,7 @@ from freerein.types.learning import ActivateModelRequest, DeleteModelRequest
 
 RUN = "8bc1f7" + "0" * 26
 SPEC = DatasetSpec(fps=10, cameras={"top": (4, 5, 3)}, action=ActionSpec(2, 0, ("x", "y")), robot_type="arm")
+DISTILL = {"dataset": "demos", "model_name": "tiny", "dagger_iterations": 2}
 POLICY = {"policy": {"model": "tiny", "version": "1" * 12}}
 
 
@@ -132,6 +133,10 @@ def test_a_job_whose_child_has_not_ended_is_not_deleted_yet(tmp_path: Path) -> N
         ("runs", {"kind": "collect", "config": {"dataset": "demos"}}, names_dataset("demos")),
         ("runs", {"config": {"steps": [{"config": {"dataset": "demos"}}]}}, names_dataset("demos")),
         ("runs", {"kind": "skills", "config": {"name": "demos"}}, names_dataset("demos")),
+        ("runs", {"kind": "skills", "config": {"name": "tiny"}}, names_model(ModelRef("tiny", "1" * 12))),
+        ("runs", {"kind": "distill", "config": DISTILL}, names_dataset("demos.0")),
+        ("runs", {"config": {"steps": [{"config": DISTILL}]}}, names_dataset("demos.1")),
+        ("runs", {"kind": "distill", "config": DISTILL}, names_model(ModelRef("tiny.1", "1" * 12))),
         ("runs", {"config": {"reward_model": "tiny"}}, names_model(ModelRef("tiny", "1" * 12))),
         ("runs", {"config": POLICY}, names_model(ModelRef("tiny", "1" * 12))),
         ("runs", {"config": {"init_from": RUN}}, names_run(RUN)),
@@ -149,6 +154,14 @@ def test_what_a_fit_or_run_names_is_in_use_until_it_has_ended(
     check_unused(tmp_path, "It", is_named)
 
 
+def test_the_datasets_of_a_run_that_names_none_have_its_id_and_are_in_use(tmp_path: Path) -> None:
+    run_id = job(tmp_path, "runs", {"kind": "distill", "config": {"dataset": ""}})
+    for name in (run_id, f"{run_id}.0", f"{run_id}.student.0"):
+        with pytest.raises(FailedPrecondition, match=run_id[:8]):
+            check_unused(tmp_path, "It", names_dataset(name))
+    check_unused(tmp_path, "It", names_dataset("f" * 32))
+
+
 @pytest.mark.parametrize("damage", ["", "5"])
 def test_a_job_whose_configuration_is_damaged_may_use_anything_and_is_named(tmp_path: Path, damage: str) -> None:
     run_id = job(tmp_path, "runs", {})
@@ -163,6 +176,9 @@ def test_a_job_whose_configuration_is_damaged_may_use_anything_and_is_named(tmp_
     ("config", "is_named"),
     [
         ({"config": {"task": "demos"}}, names_dataset("demos")),
+        ({"config": {"steps": [{"name": "demos", "kind": "collect", "config": {}}]}}, names_dataset("demos")),
+        ({"config": DISTILL}, names_dataset("demos.2")),
+        ({"config": {"dataset": "demos"}}, names_dataset("demos.0")),
         ({"config": POLICY}, names_model(ModelRef("tiny", "2" * 12))),
         ({"config": {"model_name": "tiny"}}, names_model(ModelRef("tiny", "1" * 12))),
         ({"config": {"init_from": "9" + RUN[1:]}}, names_run(RUN)),
