@@ -148,7 +148,8 @@ LEARNING_CASES = (
     Case("ActivateModel", learning.ActivateModelRequest("default", "0" * 12), "not_found"),
     Case("ActivateModel", learning.ActivateModelRequest("", ""), "invalid_input"),
     Case("ActivateModel", learning.ActivateModelRequest("A", VERSION), "invalid_input"),
-    Case("DeleteModel", learning.DeleteModelRequest("", "0" * 12, even_active=True), "not_found"),
+    Case("DeleteModel", learning.DeleteModelRequest("default", "0" * 12, even_active=True), "not_found"),
+    Case("DeleteModel", learning.DeleteModelRequest("", even_active=True), "invalid_input"),
     Case("DeleteModel", learning.DeleteModelRequest("../x"), "invalid_input"),
 )
 

@@ -79,10 +79,12 @@ async def test_a_model_that_comes_with_freerein_stays_and_answers_again(
     shipped = published(tmp_path, "a", "default", where="shipped")
     ModelStore(tmp_path / "shipped").activate(shipped)
     store.activate(published(tmp_path, "b", "default"))
-    await models.delete_model(DeleteModelRequest("", even_active=True))
+    with pytest.raises(InvalidInput):
+        await models.delete_model(DeleteModelRequest("", even_active=True))
+    await models.delete_model(DeleteModelRequest("default", even_active=True))
     assert (await models.resolve(ModelRef()))[0] == shipped
     with pytest.raises(FailedPrecondition, match="comes with freerein"):
-        await models.delete_model(DeleteModelRequest("", shipped.version, even_active=True))
+        await models.delete_model(DeleteModelRequest("default", shipped.version, even_active=True))
 
 
 async def test_of_versions_of_which_one_is_in_use_all_stay(tmp_path: Path, store: ModelStore) -> None:

@@ -124,12 +124,13 @@ class ModelCache(Generic[M]):
         """Deletes a version, or all of a name; requests that have it already are answered.
 
         Raises:
+            InvalidInput: The name is missing, or malformed.
             NotFound: There is none.
             FailedPrecondition: It came with freerein, is active, or a fit or run that has not ended names it.
         """
 
         def delete() -> tuple[ModelRef, ...]:
-            refs = self._store.published(request.name or DEFAULT_NAME, request.version)
+            refs = self._store.published(request.name, request.version)
             for ref in refs:
                 self._check_unused(ref)
             self._store.delete(refs, even_active=request.even_active)

@@ -176,7 +176,7 @@ class DeleteModelRequest:
     """Requests to delete versions of a model.
 
     Attributes:
-        name: The model's name; empty for `default`.
+        name: The model's name.
         version: The version to delete; empty for all of this name, apart from those that come with freerein.
         even_active: Whether the active version may be among them.
     """

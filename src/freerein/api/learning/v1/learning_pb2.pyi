@@ -659,7 +659,7 @@ class DeleteModelRequest(_message.Message):
     VERSION_FIELD_NUMBER: _builtins.int
     EVEN_ACTIVE_FIELD_NUMBER: _builtins.int
     name: _builtins.str
-    """The model's name; empty for `default`."""
+    """The model's name."""
     version: _builtins.str
     """The version to delete; empty for all of this name, apart from those that come with freerein."""
     even_active: _builtins.bool
