@@ -189,6 +189,9 @@ async def test_the_key_of_a_run_that_was_deleted_starts_nothing(orchestrator):
     with pytest.raises(AlreadyExists):
         await orchestrator.start("key")
     assert not orchestrator.store.exists(run_id)
+    with pytest.raises(NotFound):
+        await orchestrator.runs.delete_run(DeleteRunRequest(run_id))
+    assert await orchestrator.start("key") == run_id  # the database has forgotten it
 
 
 async def test_a_run_is_deleted_once_it_has_ended_unless_another_builds_on_it(orchestrator):

@@ -229,14 +229,21 @@ class RunService:
     async def delete_run(self, request: orchestrator.DeleteRunRequest) -> orchestrator.DeleteRunResponse:
         """Deletes a run that has ended; its idempotency key is free again.
 
+        Where the database was away after the folder was deleted, the next call makes it forget the run.
+
         Raises:
-            NotFound: There is no such run.
+            NotFound: There is no such run, or no longer.
             FailedPrecondition: The run has not ended, or one that has not ended builds on it.
             Overloaded: Its child process has not ended yet.
         """
 
         def delete() -> None:
-            self._run(request.id)
+            try:
+                self._run(request.id)
+            except NotFound:
+                if self._queue.states([request.id]).get(request.id) in ENDED:
+                    self._queue.delete(request.id)
+                raise
             self._check_unused(request.id)
             with self._store.lock(request.id):
                 state = self._database_state(request.id)
