@@ -1,5 +1,6 @@
 """What an operator may set, and what is refused before a service listens."""
 
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from freerein.cli.services import configured_ports
 from freerein.cli.settings import CliSettings
 from freerein.clients import Channel
 from freerein.errors import FailedPrecondition, InvalidInput
@@ -213,15 +215,20 @@ def test_an_unlike_variable_is_refused_and_a_long_one_is_not_repeated(monkeypatc
         ("FREEREIN_SIM_WORKERS", "2"),  # of another service
         ("FREEREIN_ROBOTS", "1"),  # of compose
         ("FREEREIN_FUZZ", "1"),  # of tests
-        ("FREEREIN_SIM_SERVICE_HOST", "10.0.0.11"),  # the rest are of Kubernetes
+        ("FREEREIN_SIM_SERVICE_HOST", "10.0.0.11"),  # of Kubernetes
         ("FREEREIN_SIM_PORT", "tcp://10.0.0.11:9104"),
         ("FREEREIN_SIM_PORT_9104_TCP_ADDR", "10.0.0.11"),
         ("FREEREIN_SERVICE_PORT_GRPC", "9104"),
+        ("FREEREIN_HTTP_PORT", "tcp://10.0.0.11:80"),  # of a service called freerein-http
+        ("FREEREIN_GRPC_PORT", "udp://10.0.0.11:80"),
+        ("FREEREIN_SIM_NAME", "/robot/freerein-sim"),  # of Docker
+        ("FREEREIN_SIM_ENV_PATH", "/usr/bin"),
     ],
 )
 def test_a_variable_of_somebody_else_is_left_alone(monkeypatch: pytest.MonkeyPatch, variable: str, value: str) -> None:
     monkeypatch.setenv(variable, value)
-    assert (ServiceSettings().queue, CliSettings().token) == (256, None)
+    assert (ServiceSettings().http_port, ServiceSettings().grpc_port, CliSettings().token) == (None, None, None)
+    assert configured_ports(["sim", "reward"], os.environ)["sim"].rest == 8104
 
 
 def test_the_known_variables_are_those_that_settings_compose_and_tests_have() -> None:

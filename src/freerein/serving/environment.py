@@ -1,4 +1,4 @@
-"""Settings from the environment, in the spellings that people use; names that there are not are refused."""
+"""Settings from the environment, in the spellings that people use; unknown names are refused."""
 
 import os
 import re
@@ -40,7 +40,7 @@ KNOWN = (
 )
 """Names after `FREEREIN_` of all variables, of all services: what one does not use, another does."""
 
-_OF_KUBERNETES = re.compile(r"\w+_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP|SCTP)(_\w+)?)")
+_OF_CONTAINERS = re.compile(r"\w+_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP|SCTP)(_\w+)?|ENV_\w+)")
 _CLOSE = 0.75  # 0 to 1, of a prefix to ours
 
 _WORDS = MappingProxyType(
@@ -78,6 +78,8 @@ class EnvironmentVariables(BaseSettings):
         if not isinstance(value, str) or (not {str, int, float, bool}.intersection(kinds) and name not in _WORDS):
             return value
         value = value.strip()
+        if name.endswith("_port") and is_container_link(value):
+            return cls.model_fields[name].default
         if name == "host":
             return unbracketed(value)
         return _WORDS[name].get(value.lower(), value.lower()) if name in _WORDS else value
@@ -86,11 +88,11 @@ class EnvironmentVariables(BaseSettings):
 def unknown_variables(environ: Mapping[str, str]) -> Iterator[str]:
     """Yields the name of each variable of our prefix that is no setting, and the one that was probably meant.
 
-    Kubernetes sets some in every container, where one of its services has a name that begins with ours: they may be.
+    Those that Kubernetes and Docker set in containers may be.
     """
     for variable, value in environ.items():
         prefix, _, name = variable.upper().partition("_")
-        if not value or (prefix == OURS and name in KNOWN) or _is_of_kubernetes(variable, value):
+        if not value or (prefix == OURS and name in KNOWN) or _is_of_containers(variable, value):
             continue
         if prefix.startswith(OURS) or (name in KNOWN and SequenceMatcher(None, prefix, OURS).ratio() >= _CLOSE):
             name = name or prefix.removeprefix(OURS)
@@ -98,8 +100,17 @@ def unknown_variables(environ: Mapping[str, str]) -> Iterator[str]:
             yield f"{quoted(variable)}{f', did you mean `{OURS}_{meant}`?' if meant else ', which is unknown'}"
 
 
-def _is_of_kubernetes(variable: str, value: str) -> bool:
-    return bool(_OF_KUBERNETES.fullmatch(variable)) or (variable.endswith("_PORT") and "://" in value)
+def is_container_link(port: str) -> bool:
+    """Returns whether Kubernetes or Docker has set a port, as `FREEREIN_HTTP_PORT` of a service called `freerein-http`."""
+    return port.startswith(("tcp://", "udp://", "sctp://"))
+
+
+def _is_of_containers(variable: str, value: str) -> bool:
+    return (
+        bool(_OF_CONTAINERS.fullmatch(variable))
+        or (variable.endswith("_PORT") and is_container_link(value))
+        or (variable.endswith("_NAME") and value.startswith("/"))
+    )
 
 
 def reasons(error: ValidationError) -> str:

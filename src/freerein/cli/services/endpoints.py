@@ -8,7 +8,7 @@ from importlib.metadata import entry_points
 
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.ports import PORTS, Ports, address, default_ports
-from freerein.serving.environment import unbracketed
+from freerein.serving.environment import is_container_link, unbracketed
 
 GROUP = "freerein.services"
 LOOPBACK = "127.0.0.1"
@@ -71,7 +71,8 @@ def configured_ports(names: Collection[str], environ: Mapping[str, str]) -> dict
     """
     ports = {name: default_ports(name, environ) for name in names}
     for attribute, variable in (("rest", "FREEREIN_HTTP_PORT"), ("grpc", "FREEREIN_GRPC_PORT")):
-        if not (value := environ.get(variable, "").strip()):
+        value = environ.get(variable, "").strip()
+        if not value or is_container_link(value):
             continue
         if len(ports) != 1:
             raise InvalidInput(
