@@ -1,4 +1,4 @@
-"""Names of fields and paths that there are not: what a caller probably meant."""
+"""Errors of unknown names of fields and paths, with the one that the caller probably meant."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
