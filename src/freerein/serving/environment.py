@@ -101,7 +101,7 @@ def unknown_variables(environ: Mapping[str, str]) -> Iterator[str]:
 
 
 def is_container_link(port: str) -> bool:
-    """Returns whether Kubernetes or Docker has set a port, as `FREEREIN_HTTP_PORT` of a service called `freerein-http`."""
+    """Returns whether Kubernetes or Docker has set a port: `FREEREIN_HTTP_PORT` of a service called `freerein-http`."""
     return port.startswith(("tcp://", "udp://", "sctp://"))
 
 
