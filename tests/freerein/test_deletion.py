@@ -170,7 +170,7 @@ def test_a_job_whose_configuration_is_damaged_may_use_anything_and_is_named(tmp_
     (tmp_path / "runs" / run_id / "config.json").write_text(damage)
     with pytest.raises(FailedPrecondition, match=f"run {run_id[:8]}, .* is damaged"):
         check_unused(tmp_path, "It", names_dataset("demos"))
-    (tmp_path / "runs" / run_id / "events.jsonl").write_text(f"{damage}\n")  # nobody can attempt it
+    (tmp_path / "runs" / run_id / "events.jsonl").write_text("5\n")  # nobody can attempt it
     check_unused(tmp_path, "It", names_dataset("demos"))
 
 
