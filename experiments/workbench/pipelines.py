@@ -75,7 +75,7 @@ def run_pipeline(
         shutil.rmtree(data / "datasets", ignore_errors=True)
     parts = run_folder(folder, name=name) / "parts"
     names = [step["name"] for step in steps if step["kind"] == "evaluate"]
-    return {name: _trials(parts / name / "checkpoints" / "trials.jsonl") for name in names}
+    return {name: _trials(parts / name / "checkpoints" / "rounds.jsonl") for name in names}
 
 
 def run_folder(folder: Path, *, name: str = _NAME) -> Path:

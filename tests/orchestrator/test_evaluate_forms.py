@@ -20,12 +20,13 @@ from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import weights
 from freerein.learning.model_files import save_model
 from freerein.serving.model_store import ModelStore
-from freerein.types.common import ActionSpec
+from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import CreateSessionRequest, Predicate, Task
 from freerein_orchestrator.envs.episodes import replay, run_episodes
 from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import check_predicates
 from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds.evaluate.form import enlarged
 from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
 from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds, known_skills, places_in_recipe
 from freerein_orchestrator.kinds.evaluate.sentences import confusion_matrix, told_is_done
@@ -75,7 +76,7 @@ def evaluation(new_run: Callable[..., Any], tmp_path: Path, services: dict[str, 
 
 def finish_after_a_stop(run: Any) -> Any:
     """Stops a run after its first round, and finishes it; returns its result."""
-    assert not run.do(stop=(run.folder / "checkpoints" / "trials.jsonl").exists)
+    assert not run.do(stop=(run.folder / "checkpoints" / "rounds.jsonl").exists)
     assert 0 < len(run.rows) < run.config.episodes
     assert run.do()
     return run.artifact("result.json")
@@ -113,6 +114,24 @@ def test_episodes_of_equal_sessions_begin_in_equal_states_whatever_the_policy_dr
     np.testing.assert_array_equal(first.frames["front"][[0, 2, 4]], replayed)
     np.testing.assert_array_equal(first.states[0], other.states[0])
     assert not np.array_equal(first.actions, other.actions)
+
+
+@pytest.mark.parametrize(
+    ("camera", "rendered"), [((64, 64), (256, 256)), ((240, 320), (240, 320)), ((480, 640), (240, 320))]
+)
+def test_pictures_are_as_large_as_worlds_render_in_the_proportions_of_the_camera(
+    camera: tuple[int, int], rendered: tuple[int, int]
+) -> None:
+    asked: list[tuple[int, int]] = []
+
+    def render(*size: int) -> Any:
+        asked.append((size[0], size[1]))
+        if size == rendered:
+            raise InvalidInput("Frames are 1 to 33 pixels high and wide.")
+        return np.zeros((1, *size, 3), np.uint8)
+
+    assert enlarged(Camera("front", *camera, 3), (33, 30), render).shape == (1, 33, 30, 3)
+    assert asked == [rendered, (33, 30)]
 
 
 @pytest.mark.e2e
@@ -165,7 +184,7 @@ def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: 
     result = finish_after_a_stop(run)
     check_figures(result, "skills_completed", "skills_lifted", "whole")
     assert result["figures"]["skills_completed"]["value"] > 0.7
-    rounds = (run.folder / "checkpoints" / "trials.jsonl").read_text().splitlines()
+    rounds = (run.folder / "checkpoints" / "rounds.jsonl").read_text().splitlines()
     completed = [trial["completed"] for each in rounds for trial in json.loads(each)["trials"]]
     assert result["figures"]["whole"]["value"] == np.mean([all(each) for each in completed])
     assert result["figures"]["skills_completed"]["baseline"] < 0.3
@@ -223,7 +242,7 @@ def test_a_reward_model_chooses_among_the_captions_of_every_visible_pair(
     result = finish_after_a_stop(run)
     check_figures(result, "accuracy", "balanced_accuracy")
     assert result["counts"] == {"scenes": 8, "answers": 8 * answers}
-    rounds = (run.folder / "checkpoints" / "trials.jsonl").read_text().splitlines()
+    rounds = (run.folder / "checkpoints" / "rounds.jsonl").read_text().splitlines()
     scenes = [scene for each in rounds for trial in json.loads(each)["trials"] for scene in trial["scenes"]]
     truths: dict[str, list[int]] = {}
     for answer in chain.from_iterable(scenes):

@@ -50,7 +50,7 @@ def test_of_the_frames_of_one_name_only_the_first_trials_are_kept(run: Any, reop
 def test_a_round_that_a_crash_tore_is_measured_again_with_its_frames(run: Any, reopen: Open) -> None:
     reopen().add({}, [trial(0, "x")])
     reopen().add({}, [trial(7, "y")])
-    path = run.folder / "checkpoints" / "trials.jsonl"
+    path = run.folder / "checkpoints" / "rounds.jsonl"
     path.write_bytes(path.read_bytes()[:-5])
     record = reopen()
     assert content(record) == [(0, {"x": 0})]
@@ -60,7 +60,7 @@ def test_a_round_that_a_crash_tore_is_measured_again_with_its_frames(run: Any, r
 
 
 def test_rounds_may_be_long_and_are_appended(run: Any, reopen: Open) -> None:
-    path = run.folder / "checkpoints" / "trials.jsonl"
+    path = run.folder / "checkpoints" / "rounds.jsonl"
     reopen().add({}, [Trial({"confidence": [0.123456789] * 50_000})])
     first = path.read_bytes()
     reopen().add({}, [trial(1)])

@@ -89,14 +89,13 @@ class ActResponse:
         state: The policy state, for the next call. Opaque; at most 64 KiB.
         goal_reached: Whether every goal was reached. None where the policy does not predict it: language policies.
         done: Whether all goals are over, so that K = 0; `unknown` where the policy does not see whether its goal is
-            reached.
+            reached; None from a service of an earlier version.
         done_by: Who says so: `policy`, which saw every goal reached, or `step_limit`, after which a goal was abandoned;
             None unless `done` is `yes`.
         resized: Whether an image of the observation or of the goal was resized.
     """
 
     actions: npt.NDArray[Any]
-    done: Done
     goal_confidence: float
     goal_index: int
     goal_abandoned: bool
@@ -105,6 +104,7 @@ class ActResponse:
     model: ModelRef
     timing: Timing
     goal_reached: bool | None = None
+    done: Done | None = None
     done_by: DoneBy | None = None
     resized: bool = False
 
@@ -189,7 +189,6 @@ class Chunk:
     """
 
     actions: npt.NDArray[Any]
-    done: Done
     goal_confidence: float
     goal_index: int
     goal_abandoned: bool
@@ -200,6 +199,7 @@ class Chunk:
     dropped: int
     timing: Timing
     goal_reached: bool | None = None
+    done: Done | None = None
     done_by: DoneBy | None = None
     resized: bool = False
 

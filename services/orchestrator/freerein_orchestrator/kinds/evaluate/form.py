@@ -15,12 +15,16 @@ from freerein.metrics import mean_interval, ratio_interval
 from freerein.types.common import Camera
 from freerein.types.sim import CreateSessionRequest, Recipe, Task
 from freerein_orchestrator.envs.episodes import derive_seed, replay
+from freerein_orchestrator.envs.policies import PolicyHandle
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.policy_store import PolicyStore
-from freerein_orchestrator.kinds.policy_video import HEIGHT, MAX_FRAMES
+from freerein_orchestrator.kinds.policy_video import HEIGHT, max_frames
 from freerein_orchestrator.rl.vec_env import Actions
 
 Frames = npt.NDArray[np.uint8]
+
+_MOST_WIDE = 320
+"""Pixels of the widest frames that worlds render, unless they say otherwise."""
 
 FILMED = "filmed"
 """Name of a trial's actions that its policy's film replays."""
@@ -149,46 +153,57 @@ class Setup(Generic[C]):
             max_episode_steps=max_steps,
         )
 
+    def film(
+        self, index: int, trial: Trial, policy: PolicyHandle, *, recipes: Sequence[Recipe] = (), episode_steps: int = 0
+    ) -> Frames:
+        """Returns the frames of a trial's episode, as many as a video has; arguments as of `replay`."""
+        return self.replay(index, trial.shown[FILMED], policy, recipes=recipes, episode_steps=episode_steps)
+
     def replay(
         self,
-        trial: int,
+        index: int,
         actions: Actions,
-        cameras: Sequence[str],
+        policy: PolicyHandle,
         *,
         times: Collection[int] | None = None,
         recipes: Sequence[Recipe] = (),
         episode_steps: int = 0,
     ) -> Frames:
-        """Returns frames of a trial's episode, uint8 (K, H, W, C), large enough for people if its world renders such.
+        """Returns frames of a trial's episode, uint8 (K, H, W, C), of the first camera that its policy sees.
 
         Args:
-            trial: The trial's index.
+            index: The trial's.
             actions: The episode's, as executed: float32 (T, A) or int64 (T, 1).
-            cameras: Those of the policy, of which the first is shown; empty for the task's.
+            policy: Whose they are.
             times: K timesteps, 0 to T; None for all, as many as a video has.
             recipes: What the episodes of its round required, up to its own; empty for what the world drew.
             episode_steps: Steps of an episode; 0 for the task's own.
         """
-        shown = range(min(len(actions) + 1, MAX_FRAMES)) if times is None else times
-        camera = find_camera(self.task, (*cameras, "")[0])
-        env = trial % self.config.num_envs
+        camera = find_camera(self.task, (*policy.cameras, "")[0])
+        env = index % self.config.num_envs
 
         def replayed(height: int, width: int) -> Frames:
-            request = self.session(env + 1, trial - env, height=height, width=width, max_steps=episode_steps)
+            request = self.session(env + 1, index - env, height=height, width=width, max_steps=episode_steps)
+            shown = range(min(len(actions) + 1, max_frames(height, width))) if times is None else times
             return replay(self.sim, request, actions, self.interrupt, camera=camera.name, times=shown, recipes=recipes)
 
-        return enlarged(camera, replayed)
+        return enlarged(camera, (policy.height or camera.height, policy.width or camera.width), replayed)
 
 
-def enlarged(camera: Camera, render: Callable[[int, int], Frames]) -> Frames:
-    """Returns frames of a camera as high as films are, or of its own size where its world renders none so large.
+def enlarged(camera: Camera, seen: tuple[int, int], render: Callable[[int, int], Frames]) -> Frames:
+    """Returns frames that `render` makes of a height and width: those of pictures, or as seen where these are refused.
 
-    `render` returns the frames of a height and width; 0 is the camera's own.
+    Args:
+        camera: The camera; its proportions stay.
+        seen: Height and width that the model or policy sees.
+        render: Raises InvalidInput where the world renders none so large, or a reply holds no so many.
     """
+    scale = min(HEIGHT / camera.height, _MOST_WIDE / camera.width)
+    height, width = (2 * round(side * scale / 2) for side in (camera.height, camera.width))  # codecs need even sides
     try:
-        return render(HEIGHT, 2 * round(HEIGHT * camera.width / camera.height / 2))  # codecs need even sides
+        return render(height, width)
     except InvalidInput:
-        return render(0, 0)
+        return render(*seen)
 
 
 class Evaluation(Protocol):

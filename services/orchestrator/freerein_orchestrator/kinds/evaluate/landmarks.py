@@ -234,7 +234,7 @@ class LandmarksEvaluation:
         seed = self._setup.config.seed
         figures = _reached_figures(values, seed=seed)
         counts = {"episodes": len(values), "landmarks": len(values) * len(self._steps)}
-        film = self._setup.replay(measured[0], trials[measured[0]].shown[FILMED], self._cameras)
+        film = self._setup.film(measured[0], trials[measured[0]], self._policy)
         if "recognized" not in values[0]:
             return Result(figures, counts, film=film)
         figures |= _recognizer_figures(values, seed=seed)
@@ -251,7 +251,7 @@ class LandmarksEvaluation:
         key = f"followed-{recognized}"
         index = next(index for index, trial in enumerate(trials) if key in trial.shown)
         shown, pursuits = trials[index].shown, trials[index].values["pursuits"]
-        replayed = partial(self._setup.replay, index, cameras=self._cameras)
+        replayed = partial(self._setup.replay, index, policy=self._policy)
         goals = replayed(shown[f"explored-{recognized}"], times=self._steps.tolist())
         ends = replayed(shown[key], times=[each["step"] for each in pursuits])
         return pursuits, {"goals": goals, "ends": ends}

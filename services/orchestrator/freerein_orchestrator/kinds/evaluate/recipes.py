@@ -146,10 +146,10 @@ class RecipesEvaluation:
             figures[WHOLE] = figure
         counts = {"episodes": len(values), "skills": sum(len(each["recipe"]) for each in values)}
         config = self._setup.config
-        film = self._setup.replay(
+        film = self._setup.film(
             0,
-            trials[0].shown[FILMED],
-            self._policy.cameras,
+            trials[0],
+            self._policy,
             recipes=self._draw_recipes(0, min(config.num_envs, config.episodes))[:1],
             episode_steps=config.episode_steps,
         )

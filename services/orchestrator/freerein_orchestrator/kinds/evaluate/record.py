@@ -1,6 +1,6 @@
 """The trials of an evaluation so far, on disk, and its result.
 
-<folder>/checkpoints/trials.jsonl              a line per round: its trials, and what is evaluated
+<folder>/checkpoints/rounds.jsonl              a line per round: its trials, and what is evaluated
          checkpoints/frames/<i>.safetensors    what pictures may show of trial i; of one name only the first trial's
          artifacts/result.json                 figures, counts, versions of models
          artifacts/frames.json                 what the pictures show, and
@@ -70,7 +70,7 @@ class TrialRecord:
                 _write_frames(self._frames_path(index), new)
             kept |= set(new)
             names.append(sorted(new))
-        document = {"subject": subject, "trials": [trial.values for trial in trials], "frames": names}
+        document = {"subject": subject, "trials": [trial.values for trial in trials], "shown": names}
         self._folder.mkdir(parents=True, exist_ok=True)
         json_lines.append(self._path, lambda _last: [document])
         self._take(document)
@@ -78,14 +78,14 @@ class TrialRecord:
 
     def _take(self, document: Mapping[str, Any]) -> None:
         """Takes a round from its line."""
-        for index, names in enumerate(document["frames"], self.count):
+        for index, names in enumerate(document["shown"], self.count):
             self._kept.update(dict.fromkeys(names, index))
         self.subject = document["subject"]
         self._values += document["trials"]
 
     @property
     def _path(self) -> Path:
-        return self._folder / "trials.jsonl"
+        return self._folder / "rounds.jsonl"
 
     def _whole_lines(self) -> list[bytes]:
         return self._path.read_bytes().rpartition(b"\n")[0].splitlines() if self._path.is_file() else []

@@ -153,7 +153,7 @@ class ReturnsEvaluation:
             figures["expert_return_mean"] = mean_figure(lists["expert_returns"], seed=seed)
         starts = {name: [trial.values["starts"][name] for trial in trials] for name in self._starts}
         figures |= self._split_figures(trials)
-        film = self._setup.replay(0, trials[0].shown[FILMED], self._policy.handle.cameras)
+        film = self._setup.film(0, trials[0], self._policy.handle)
         return Result(figures, {"episodes": len(trials)}, lists | ({"starts": starts} if starts else {}), film=film)
 
     def _split_figures(self, trials: Sequence[Trial]) -> dict[str, Figure]:

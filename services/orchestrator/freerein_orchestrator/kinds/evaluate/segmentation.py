@@ -174,7 +174,7 @@ class SegmentationEvaluation:
             (frames,) = demonstration.trajectory.frames.values()
             return frames
 
-        return enlarged(self._setup.task.cameras[0], recorded)
+        return enlarged(self._setup.task.cameras[0], (self._model.height, self._model.width), recorded)
 
 
 def _counts(values: dict[str, Any], skills: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

@@ -133,7 +133,7 @@ class SentencesEvaluation:
         ]
         confusion = confusion_matrix(successes, tasks=[task.name for task in self._tasks], texts=self._texts)
         details = {"word_blind_text": self._texts[best], "told": told, "confusion": confusion}
-        film = self._setup.replay(0, trials[0].shown[FILMED], self._tasks[0].policy.cameras)
+        film = self._setup.film(0, trials[0], self._tasks[0].policy)
         return Result(figures, {"episodes": returns.size, "trials": len(trials)}, details, film=film)
 
 

@@ -345,17 +345,21 @@ class ActResponse(_message.Message):
         timing: _common_pb2.Timing | None = ...,
         in_distribution: _builtins.float = ...,
         resized: _builtins.bool = ...,
-        done: Global___Done.ValueType = ...,
+        done: Global___Done.ValueType | None = ...,
         done_by: Global___DoneBy.ValueType | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done_by", b"done_by", "goal_reached", b"goal_reached", "model", b"model", "timing", b"timing"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_done", b"_done", "_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done", b"done", "done_by", b"done_by", "goal_reached", b"goal_reached", "model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done", b"done", "done_by", b"done_by", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "model", b"model", "resized", b"resized", "state", b"state", "timing", b"timing"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_done", b"_done", "_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done", b"done", "done_by", b"done_by", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "model", b"model", "resized", b"resized", "state", b"state", "timing", b"timing"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__done: _TypeAlias = _typing.Literal["done"]  # noqa: Y015
+    _WhichOneofArgType__done: _TypeAlias = _typing.Literal["_done", b"_done"]  # noqa: Y015
     _WhichOneofReturnType__done_by: _TypeAlias = _typing.Literal["done_by"]  # noqa: Y015
     _WhichOneofArgType__done_by: _TypeAlias = _typing.Literal["_done_by", b"_done_by"]  # noqa: Y015
     _WhichOneofReturnType__goal_reached: _TypeAlias = _typing.Literal["goal_reached"]  # noqa: Y015
     _WhichOneofArgType__goal_reached: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__done) -> _WhichOneofReturnType__done | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__done_by) -> _WhichOneofReturnType__done_by | None: ...
     @_typing.overload
@@ -658,17 +662,21 @@ class Chunk(_message.Message):
         timing: _common_pb2.Timing | None = ...,
         in_distribution: _builtins.float = ...,
         resized: _builtins.bool = ...,
-        done: Global___Done.ValueType = ...,
+        done: Global___Done.ValueType | None = ...,
         done_by: Global___DoneBy.ValueType | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done_by", b"done_by", "goal_reached", b"goal_reached", "timing", b"timing"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_done", b"_done", "_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done", b"done", "done_by", b"done_by", "goal_reached", b"goal_reached", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done", b"done", "done_by", b"done_by", "dropped", b"dropped", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "observation_time_ns", b"observation_time_ns", "resized", b"resized", "state", b"state", "timing", b"timing", "valid_until_ns", b"valid_until_ns"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_done", b"_done", "_done_by", b"_done_by", "_goal_reached", b"_goal_reached", "actions", b"actions", "done", b"done", "done_by", b"done_by", "dropped", b"dropped", "goal_abandoned", b"goal_abandoned", "goal_confidence", b"goal_confidence", "goal_index", b"goal_index", "goal_reached", b"goal_reached", "in_distribution", b"in_distribution", "observation_time_ns", b"observation_time_ns", "resized", b"resized", "state", b"state", "timing", b"timing", "valid_until_ns", b"valid_until_ns"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__done: _TypeAlias = _typing.Literal["done"]  # noqa: Y015
+    _WhichOneofArgType__done: _TypeAlias = _typing.Literal["_done", b"_done"]  # noqa: Y015
     _WhichOneofReturnType__done_by: _TypeAlias = _typing.Literal["done_by"]  # noqa: Y015
     _WhichOneofArgType__done_by: _TypeAlias = _typing.Literal["_done_by", b"_done_by"]  # noqa: Y015
     _WhichOneofReturnType__goal_reached: _TypeAlias = _typing.Literal["goal_reached"]  # noqa: Y015
     _WhichOneofArgType__goal_reached: _TypeAlias = _typing.Literal["_goal_reached", b"_goal_reached"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__done) -> _WhichOneofReturnType__done | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__done_by) -> _WhichOneofReturnType__done_by | None: ...
     @_typing.overload
