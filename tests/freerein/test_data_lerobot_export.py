@@ -141,6 +141,58 @@ def test_texts_of_other_styles_stay_and_others_subtasks_are_replaced_only_on_req
     assert [each["content"] for each in language(original)[1]] == ["reach", "pour"]
 
 
+@pytest.mark.parametrize(
+    ("column", "found"),
+    [
+        (["reach"], "got string"),
+        ([["reach"]], "got lists of string"),
+        ([[{"content": "reach", "timestamp": 0.0}]], "`style` is missing"),
+        ([[{"content": "reach", "style": 1, "timestamp": 0.0}]], "`style` is int64"),
+        ([[{"content": "reach", "style": "plan", "timestamp": "0"}]], "`timestamp` is string"),
+    ],
+)
+@pytest.mark.parametrize("replaces", [False, True])
+def test_a_column_of_other_texts_is_refused(
+    original: Path, ours: Path, column: list[Any], found: str, replaces: bool
+) -> None:
+    path = original / DATA.format(0)
+    pq.write_table(pq.read_table(path).append_column("language_persistent", pa.array(column * 2 * STEPS)), path)
+    before = contents(original)
+    with pytest.raises(InvalidInput, match=found):
+        export_labels(ours, original, replaces=replaces)
+    assert contents(original) == before
+
+
+@pytest.mark.parametrize("features", [None, ["action"], {"action": []}])
+def test_features_that_are_no_objects_are_refused(original: Path, ours: Path, features: object) -> None:
+    write_info(original, features=features)
+    with pytest.raises(InvalidInput, match="must describe `features`"):
+        export_labels(ours, original)
+
+
+@pytest.mark.parametrize("time_s", [None, float("nan"), float("inf")])
+def test_times_that_are_not_finite_are_refused(original: Path, ours: Path, time_s: float | None) -> None:
+    path = original / DATA.format(0)
+    times = pa.array([0.0, time_s, *[0.2] * (2 * STEPS - 2)], pa.float32())
+    pq.write_table(pq.read_table(path).append_column("timestamp", times), path)
+    with pytest.raises(InvalidInput, match="`timestamp` of episode 0 must be a finite number"):
+        export_labels(ours, original)
+
+
+def test_an_episode_in_two_data_files_has_the_timesteps_of_both_and_files_keep_their_mode(
+    original: Path, ours: Path
+) -> None:
+    rows = pa.concat_tables(pq.read_table(original / DATA.format(file)) for file in range(2))
+    pq.write_table(rows.slice(2), original / DATA.format(0))
+    pq.write_table(rows.slice(0, 2), original / DATA.format(1))
+    (original / DATA.format(0)).chmod(0o664)
+    export_labels(ours, original)
+    assert (original / DATA.format(0)).stat().st_mode & 0o777 == 0o664
+    for file in range(2):
+        texts = [(each["timestamp"], each["content"]) for each in language(original, file)[0]]
+        assert texts == [(pytest.approx(0.1), "reach"), (pytest.approx(0.3), "pour")]
+
+
 def test_stages_that_people_made_are_not_replaced_without_a_request(original: Path, ours: Path) -> None:
     write_episodes(original, sparse_subtask_names=[["fold"], None, None], **{"data/file_index": [0, 0, 1]})
     with pytest.raises(AlreadyExists, match="`sparse_subtask_names` has some"):

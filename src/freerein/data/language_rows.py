@@ -3,7 +3,7 @@
 A text has a style, such as `subtask` or `plan`, and the time at which it begins to hold.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,7 +11,8 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from freerein.data.lerobot_tables import with_column
+from freerein.data.lerobot_tables import is_text, with_column
+from freerein.errors import InvalidInput
 
 COLUMN = "language_persistent"
 FEATURE = {"dtype": "language", "shape": [1], "names": None}
@@ -28,6 +29,11 @@ _ROW = pa.struct(
         ("tool_calls", pa.list_(pa.field("element", pa.string()))),  # as it is read back
     ]
 )
+_READ: dict[str, Callable[[pa.DataType], bool]] = {
+    "content": is_text,
+    "style": is_text,
+    "timestamp": pa.types.is_floating,
+}
 
 Subtasks: TypeAlias = Mapping[int, Sequence[tuple[float, str]]]
 """When each subtask begins, in seconds, and its text, by `episode_index`; an empty text ends the one before."""
@@ -63,17 +69,35 @@ def with_subtasks(rows: pa.Table, subtasks: Subtasks) -> pa.Table:
 
 
 def _lists(rows: pa.Table) -> pa.ListArray | None:
-    """Returns the column, whose rows have our type where they have none; None where there is none or it is empty."""
+    """Returns the column, whose rows have our type where they have none; None where there is none or it is empty.
+
+    Raises InvalidInput where it holds anything but lists of texts with a style and a time.
+    """
     if COLUMN not in rows.column_names or not len(rows):
         return None
     lists = pa.concat_arrays(rows[COLUMN].chunks)
-    if not pa.types.is_struct(lists.type.value_type):
-        return None  # lists without an element
+    is_list = pa.types.is_list(lists.type) or pa.types.is_large_list(lists.type)
+    element = lists.type.value_type if is_list else lists.type
+    if pa.types.is_null(element):
+        return None  # no text at all
+    if not is_list or not pa.types.is_struct(element):
+        raise _invalid(f"got {'lists of ' if is_list else ''}{element}")
     known = {each.name: each.type for each in _ROW}
     fields = [
-        each.with_type(known[each.name]) if pa.types.is_null(each.type) else each for each in lists.type.value_type
+        each.with_type(known.get(each.name, each.type)) if pa.types.is_null(each.type) else each for each in element
     ]
+    kinds = {each.name: each.type for each in fields}
+    for name, is_kind in _READ.items():
+        if name not in kinds or not is_kind(kinds[name]):
+            raise _invalid(f"`{name}` is {kinds.get(name, 'missing')}")
     return lists.cast(pa.list_(pa.struct(fields)))
+
+
+def _invalid(found: str) -> InvalidInput:
+    return InvalidInput(
+        f"`{COLUMN}` must have lists of rows, with texts `content` and `style` and a float `timestamp`; {found}.",
+        hint="Write the column again with LeRobot, or remove it from the data and from `info.json`.",
+    )
 
 
 def _others(lists: pa.ListArray) -> tuple[pa.StructArray, npt.NDArray[np.int64]]:

@@ -9,16 +9,17 @@ All else stays as it is, bit for bit; an export that was cut short is completed 
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from freerein.data import language_rows, layout, lerobot, lerobot_tables, meta, sarm_stages
+from freerein.data import language_rows, layout, lerobot, lerobot_features, lerobot_tables, meta, sarm_stages
 from freerein.data.folder_locks import unused
 from freerein.data.label_segments import LabelSegment, read_label_segments
 from freerein.data.language_rows import Subtasks
@@ -59,7 +60,7 @@ def export_labels(root: Path, original: Path, *, replaces: bool = False) -> int:
         _write(plan)
         return len(segments)
     raise FailedPrecondition(
-        "The original must be a folder that no other export writes to; it is not.", hint="Wait for the other one."
+        "The original must be written by one export at a time; another one is writing.", hint="Wait for its end."
     )
 
 
@@ -68,7 +69,7 @@ class _Plan:
     """What is written to a dataset: the segments of each episode, and its subtasks, by `episode_index`."""
 
     original: Path
-    fps: int
+    info: Mapping[str, Any]
     segments: dict[int, list[LabelSegment]]
     subtasks: Subtasks
     data: list[Path]
@@ -77,15 +78,15 @@ class _Plan:
 
 def _plan(original: Path, dataset: Dataset, segments: list[list[LabelSegment]]) -> _Plan:
     """Returns what is to be written; raises InvalidInput where episodes and data files are not those of the dataset."""
-    fps = lerobot.fps_of(lerobot.read_info(original))
+    info = lerobot.read_info(original)
+    lerobot_features.described(info.get("features"))
+    fps = lerobot.fps_of(info)
     episodes = lerobot_tables.read_episodes(original, [], skip_damaged=False)[0]
     lengths = dict(zip(episodes["episode_index"].to_pylist(), episodes["length"].to_pylist(), strict=True))
     _check_same(dataset, lengths, fps)
     of_episodes = dict(zip(lengths, segments, strict=True))
     data = _files(original / "data")
-    starts = dict[int, npt.NDArray[np.float64]]()
-    for path in data:
-        starts |= {number: times for number, times in _times(original, path, fps) if number in lengths}
+    starts = {number: times for number, times in _times(original, data, fps) if number in lengths}
     for number, length in lengths.items():
         if len(starts.get(number, ())) != length:
             raise InvalidInput(
@@ -94,7 +95,7 @@ def _plan(original: Path, dataset: Dataset, segments: list[list[LabelSegment]]) 
                 hint="`freerein dataset verify FOLDER` lists what is damaged.",
             )
     subtasks = {number: _subtasks(some, starts[number]) for number, some in of_episodes.items()}
-    return _Plan(original, fps, of_episodes, subtasks, data, _files(original / "meta" / "episodes"))
+    return _Plan(original, info, of_episodes, subtasks, data, _files(original / "meta" / "episodes"))
 
 
 def _check_is_foreign(original: Path) -> None:
@@ -131,18 +132,25 @@ def _files(folder: Path) -> list[Path]:
     return [layout.numbered(folder, chunk=each.chunk, file=each.file) for each in layout.numbered_files(folder)]
 
 
-def _times(original: Path, path: Path, fps: int) -> Iterator[tuple[int, npt.NDArray[np.float64]]]:
-    """Yields each episode of a data file and when its timesteps are, float64 (T,), in seconds."""
+def _times(original: Path, files: Sequence[Path], fps: int) -> Iterator[tuple[int, npt.NDArray[np.float64]]]:
+    """Yields each episode and when its timesteps are, float64 (T,), in seconds; data files may share an episode."""
     columns = ["episode_index", "frame_index", "timestamp"]
-    rows = lerobot_tables.read_columns(original, path.relative_to(original).as_posix(), columns)
-    with corrupt_as_invalid(f"`{path.name}`"):
+    tables = [lerobot_tables.read_columns(original, path.relative_to(original).as_posix(), columns) for path in files]
+    with corrupt_as_invalid("`data`"):
+        rows = pa.concat_tables(tables, promote_options="permissive")
         numbers = rows["episode_index"].to_numpy()
         steps = rows["frame_index"].to_numpy() if "frame_index" in rows.column_names else np.arange(len(rows))
         order = np.lexsort((steps, numbers))
         own = rows["timestamp"].to_numpy().astype(np.float64) if "timestamp" in rows.column_names else None
         found, firsts = np.unique(numbers[order], return_index=True)
         for number, part in zip(found.tolist(), np.split(order, firsts[1:]), strict=True):
-            yield number, np.arange(len(part)) / fps if own is None else own[part]
+            times = np.arange(len(part)) / fps if own is None else own[part]
+            if not np.all(np.isfinite(times)):
+                raise InvalidInput(
+                    f"Each `timestamp` of episode {number} must be a finite number; some are missing or not finite.",
+                    hint="Write the dataset again with LeRobot.",
+                )
+            yield number, times
 
 
 def _subtasks(segments: list[LabelSegment], times: npt.NDArray[np.float64]) -> list[tuple[float, str]]:
@@ -163,7 +171,7 @@ def _check_no_others(plan: _Plan) -> None:
                 raise _others(f"`{language_rows.COLUMN}` of episode {number}")
     for path in plan.episodes:
         rows = lerobot_tables.read_columns(plan.original, path.relative_to(plan.original).as_posix(), ())
-        name = sarm_stages.other_stages(rows, plan.segments, fps=plan.fps)
+        name = sarm_stages.other_stages(rows, plan.segments, fps=lerobot.fps_of(plan.info))
         if name:
             raise _others(f"`{name}`")
 
@@ -177,19 +185,19 @@ def _others(where: str) -> AlreadyExists:
 
 
 def _write(plan: _Plan) -> None:
-    meta_folder, info_path = plan.original / "meta", plan.original / layout.INFO_FILE
-    info = lerobot.read_info(plan.original)
+    meta_folder, info, fps = plan.original / "meta", plan.info, lerobot.fps_of(plan.info)
     shares = json.dumps(sarm_stages.proportions(plan.segments), indent=2).encode()
     with staged_files() as stage:
         for path in plan.data:
             _rewrite(path, stage(path), lambda rows: language_rows.with_subtasks(rows, plan.subtasks))
         for path in plan.episodes:
-            _rewrite(path, stage(path), lambda rows: sarm_stages.with_stages(rows, plan.segments, fps=plan.fps))
+            _rewrite(path, stage(path), lambda rows: sarm_stages.with_stages(rows, plan.segments, fps=fps))
         for granularity in sarm_stages.GRANULARITIES:
             stage(meta_folder / f"temporal_proportions_{granularity}.json").write_bytes(shares)
         if language_rows.COLUMN not in info["features"]:
             features = {**info["features"], language_rows.COLUMN: language_rows.FEATURE}
-            stage(info_path).write_text(json.dumps({**info, "features": features}, indent=4, ensure_ascii=False))
+            text = json.dumps({**info, "features": features}, indent=4, ensure_ascii=False)
+            stage(plan.original / layout.INFO_FILE).write_text(text)
 
 
 def _rewrite(path: Path, new: Path, change: Callable[[pa.Table], pa.Table]) -> None:

@@ -118,7 +118,7 @@ def read_texts(root: Path, file: str, noun: str) -> dict[int, str]:
     """
     table = read_columns(root, file, ())
     named = [name for name in table.column_names if name == noun] or table.column_names
-    texts = next((table[name] for name in named if _is_text(table[name].type)), None)
+    texts = next((table[name] for name in named if is_text(table[name].type)), None)
     if texts is None:
         raise InvalidInput(
             f"`{Path(file).name}` must have the texts of the {noun}s in a column `{noun}`; it has no such texts.",
@@ -128,6 +128,12 @@ def read_texts(root: Path, file: str, noun: str) -> dict[int, str]:
         key = f"{noun}_index"
         indices = table[key].cast(pa.int64()).to_pylist() if key in table.column_names else range(len(table))
         return {int(index): str(text or "") for index, text in zip(indices, texts.to_pylist(), strict=True)}
+
+
+def is_text(kind: pa.DataType) -> bool:
+    """Returns whether a column holds texts, in whichever way: pandas, since version 3, has others than before."""
+    values = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return values in (pa.string(), pa.large_string(), pa.string_view())
 
 
 def _video_columns(key: str) -> list[str]:
@@ -162,9 +168,3 @@ def _check_numbers(episodes: pa.Table) -> None:
             f"{_EPISODES} must list each episode once; it lists episode {twice[0]} again.",
             hint="Delete one of the rows: they may name different data.",
         )
-
-
-def _is_text(kind: pa.DataType) -> bool:
-    """Returns whether a column holds texts, in whichever way: pandas, since version 3, has others than before."""
-    values = kind.value_type if pa.types.is_dictionary(kind) else kind
-    return values in (pa.string(), pa.large_string(), pa.string_view())

@@ -1,6 +1,7 @@
 """Files of a folder of other programs that are replaced together: written beside the old ones first, then renamed."""
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,7 @@ from freerein.atomic_files import TEMP_SUFFIX, fsync_folder
 def staged_files() -> Iterator[Callable[[Path], Path]]:
     """Yields a function that returns where the new contents of a file are to be written; renames all in the end.
 
+    New files have the permissions of those that they replace.
     Where the body fails, as on a full disk, all files are as before. A process that is killed while they are renamed,
     which takes milliseconds, leaves some new and some old ones, each of them whole.
     """
@@ -23,7 +25,9 @@ def staged_files() -> Iterator[Callable[[Path], Path]]:
 
     try:
         yield stage
-        for temporary in staged.values():
+        for path, temporary in staged.items():
+            if path.exists():
+                shutil.copymode(path, temporary)
             _sync(temporary)
     except BaseException:
         for temporary in staged.values():
