@@ -166,7 +166,9 @@ def predict_fit(root: Path) -> FitPrediction:
 def _size_problems(dataset: Dataset, name: str) -> Iterator[Problem]:
     """Yields why a fit with the default configuration refuses a dataset's count, actions or frames."""
     if len(dataset) < _FEWEST_TRAJECTORIES:
-        sentence = f"A fit needs at least {_FEWEST_TRAJECTORIES} trajectories, one of them for validation; got 1."
+        sentence = (
+            f"A fit needs at least {_FEWEST_TRAJECTORIES} trajectories, one of them for validation; got {len(dataset)}."
+        )
         yield Problem("data", sentence, "Record more.")
     if problem := action_problem(dataset.spec.action):
         yield Problem("actions", problem, ACTION_HINT)
