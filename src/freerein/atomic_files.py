@@ -11,6 +11,9 @@ from pathlib import Path
 from freerein.errors import OutOfStorage, Unavailable
 
 TEMP_SUFFIX = ".tmp"
+TOKEN = "[0-9a-f]" * 8
+"""Glob pattern of the end of our temporary names, `secrets.token_hex(4)`: people's own hidden folders have others."""
+
 _DELETED = ".deleted-"
 _REFUSALS = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG}
 OUT_OF_FILES = frozenset({errno.EMFILE, errno.ENFILE})
@@ -80,7 +83,7 @@ def delete_folder(folder: Path) -> None:
     """
     folder.rename(folder.with_name(f"{_DELETED}{secrets.token_hex(4)}"))
     fsync_folder(folder.parent)
-    for deleted in folder.parent.glob(f"{_DELETED}*"):
+    for deleted in folder.parent.glob(f"{_DELETED}{TOKEN}"):
         shutil.rmtree(deleted, ignore_errors=True)
 
 

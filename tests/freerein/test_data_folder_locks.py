@@ -29,13 +29,13 @@ def parts():
 root = Path(sys.argv[1])
 with temporary_folder(root, prefix=".import-") as folder:
     (folder / "trajectories").mkdir()
-    open_or_build(root / "cache" / "a" / "frames.raw", dtype=np.dtype(np.uint8), shape=(1000,), lengths=np.array([2]),
-                  parts=parts())
+    path = root / "cache" / ("a" * 16) / "actions.raw"
+    open_or_build(path, dtype=np.dtype(np.uint8), shape=(1000,), lengths=np.array([2]), parts=parts())
 """
 
 
 def build(root: Path, fingerprint: str, parts: Iterator[npt.NDArray[np.uint8]]) -> StepCache[np.uint8]:
-    path = root / "cache" / fingerprint / "frames.raw"
+    path = root / "cache" / fingerprint / "actions.raw"
     return open_or_build(path, dtype=np.dtype(np.uint8), shape=(1000,), lengths=np.array([1]), parts=parts)
 
 
@@ -47,10 +47,10 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-@pytest.mark.parametrize("fingerprint", ["a", "b"])
+@pytest.mark.parametrize("fingerprint", ["a" * 16, "b" * 16])
 def test_what_a_killed_process_left_is_deleted(tmp_path: Path, fingerprint: str) -> None:
     assert subprocess.run([sys.executable, "-c", KILLED, tmp_path], check=False).returncode < 0
-    assert len(names(tmp_path / "cache" / "a")) == len(list(tmp_path.glob(".import-*"))) == 1
+    assert len(names(tmp_path / "cache" / ("a" * 16))) == len(list(tmp_path.glob(".import-*"))) == 1
 
     build(tmp_path, fingerprint, one_part())
     with temporary_folder(tmp_path, prefix=".import-") as folder:
@@ -58,7 +58,7 @@ def test_what_a_killed_process_left_is_deleted(tmp_path: Path, fingerprint: str)
 
     assert names(tmp_path) == ["cache"]
     assert names(tmp_path / "cache") == [fingerprint]
-    assert names(tmp_path / "cache" / fingerprint) == ["frames.raw"]
+    assert names(tmp_path / "cache" / fingerprint) == ["actions.raw"]
 
 
 def test_builds_for_two_states_of_a_dataset_leave_each_other_alone(tmp_path: Path) -> None:
@@ -70,15 +70,15 @@ def test_builds_for_two_states_of_a_dataset_leave_each_other_alone(tmp_path: Pat
         yield from one_part()
 
     built = list[StepCache[np.uint8]]()
-    builder = threading.Thread(target=lambda: built.append(build(tmp_path, "a", slow())))
+    builder = threading.Thread(target=lambda: built.append(build(tmp_path, "a" * 16, slow())))
     builder.start()
     assert begun.wait(30)
-    build(tmp_path, "b", one_part())
+    build(tmp_path, "b" * 16, one_part())
     may_end.set()
     builder.join()
 
     assert built[0][0].sum() == 1000
-    assert names(tmp_path / "cache") == ["a"]
+    assert names(tmp_path / "cache") == ["a" * 16]
 
 
 def test_a_folder_in_use_is_not_unused_and_one_that_was_deleted_is_made_again(tmp_path: Path) -> None:

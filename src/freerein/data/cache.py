@@ -1,9 +1,11 @@
 """Decoded timesteps of a whole dataset in one raw file, mapped into memory."""
 
 import os
+import re
 import secrets
 import shutil
-from collections.abc import Iterable
+import stat
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +18,10 @@ from freerein.data.folder_locks import in_use, unused
 from freerein.errors import InvalidInput, OutOfStorage
 
 D = TypeVar("D", bound=np.generic)
+
+_FINGERPRINT = "[0-9a-f]" * 16
+_FILE = re.compile(r"(actions|terminations|frames-.+)\.raw(\.[0-9a-f]{8})?")
+"""Names of our files, and of those that are being built: people may have others beside them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +57,8 @@ def open_or_build(
     """Returns the cache of a file, building the file if it does not exist.
 
     Args:
-        path: `cache/<fingerprint>/<name>.raw`; folders of other fingerprints are deleted after a build, unless one is
-            being built in.
+        path: `cache/<fingerprint>/<name>.raw`; files of other fingerprints are deleted after a build, unless one is
+            being built among them.
         dtype: Of the array.
         shape: Shape of one timestep.
         lengths: int64 (n,), timesteps of each trajectory.
@@ -66,15 +72,35 @@ def open_or_build(
     with in_use(path.parent):
         if not path.is_file():
             _build(path, parts, size=int(offsets[-1]) * int(np.prod(shape)) * dtype.itemsize)
-            for other in unused(each for each in path.parent.parent.iterdir() if each != path.parent):
-                shutil.rmtree(other, ignore_errors=True)
+            for other in unused_folders(path.parent.parent):  # the file's own is in use
+                delete_cached(other)
         return StepCache(np.memmap(path, dtype, mode="r", shape=(int(offsets[-1]), *shape)), offsets)
+
+
+def unused_folders(cache: Path) -> Iterator[Path]:
+    """Yields the folders of a dataset's cache that no process uses, as `unused`; links are not followed."""
+    return unused(each for each in cache.glob(_FINGERPRINT) if not each.is_symlink())
+
+
+def delete_cached(folder: Path) -> int:
+    """Deletes the cached files in a folder, and the folder unless it holds others; returns the bytes."""
+    freed = 0
+    for file in _cached_files(folder):
+        freed += file.stat().st_size
+        file.unlink()
+    with suppress(OSError):  # other files are left
+        folder.rmdir()
+    return freed
+
+
+def _cached_files(folder: Path) -> list[Path]:
+    return [each for each in folder.iterdir() if _FILE.fullmatch(each.name) and stat.S_ISREG(each.lstat().st_mode)]
 
 
 def _delete_abandoned(cache: Path) -> None:
     """Deletes the files that killed processes were building."""
-    for folder in unused(cache.glob("*")):
-        for unfinished in (each for each in folder.iterdir() if each.suffix != ".raw"):
+    for folder in unused_folders(cache):
+        for unfinished in (each for each in _cached_files(folder) if each.suffix != ".raw"):
             with suppress(OSError):
                 unfinished.unlink()
 

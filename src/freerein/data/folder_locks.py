@@ -11,11 +11,13 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+from freerein.atomic_files import TOKEN
+
 
 @contextmanager
 def temporary_folder(parent: Path, *, prefix: str) -> Iterator[Path]:
     """Makes a folder that is deleted in the end, and deletes those of the same prefix that killed processes left."""
-    for abandoned in unused(parent.glob(f"{prefix}*")):
+    for abandoned in unused(parent.glob(f"{prefix}{TOKEN}")):
         shutil.rmtree(abandoned, ignore_errors=True)
     with in_use(parent / f"{prefix}{secrets.token_hex(4)}") as folder:
         try:

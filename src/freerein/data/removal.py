@@ -2,17 +2,18 @@
 
 import shutil
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
-from freerein.atomic_files import delete_folder, fsync_folder
-from freerein.data import labels
+from freerein.atomic_files import TOKEN, delete_folder, fsync_folder
+from freerein.data import labels, layout
+from freerein.data.cache import delete_cached, unused_folders
 from freerein.data.folder_locks import unused
 from freerein.data.meta import WriterLock
 from freerein.errors import FailedPrecondition, NotFound
 
-_CACHED = "*.raw*"
-"""Files of `freerein.data.cache`, and those that killed processes were building."""
+_TEMPORARY = (".copy-", ".create-", ".deleted-", ".import-", ".record-")
+"""Prefixes of `temporary_folder` and `delete_folder`."""
 
 
 def delete(root: Path) -> None:
@@ -40,19 +41,19 @@ def replace(root: Path, new: Path, *, aside: Path) -> None:
 def prune(datasets: Path) -> int:
     """Deletes the decoded frames of all datasets, and what killed processes left; returns the bytes of it.
 
-    A fit that reads decoded frames goes on: their space is free when it ends. Those being made stay.
+    A fit that reads decoded frames goes on: their space is free when it ends. Those being made stay, and so do files
+    and folders that freerein did not name, and what links lead to.
 
     Args:
         datasets: Folder of the datasets.
     """
     freed = 0
-    for folder in unused(datasets.glob("*/cache/*")):
-        for file in folder.glob(_CACHED):
-            freed += file.stat().st_size
-            file.unlink()
-        with suppress(OSError):  # other files are left
-            folder.rmdir()
-    for folder in unused(datasets.glob(".*-*")):
+    for cache in datasets.glob("*/cache"):
+        root = cache.parent
+        if (root / layout.INFO_FILE).is_file() and not (root.is_symlink() or cache.is_symlink()):
+            freed += sum(map(delete_cached, unused_folders(cache)))
+    left = (each for prefix in _TEMPORARY for each in datasets.glob(prefix + TOKEN) if not each.is_symlink())
+    for folder in unused(left):
         freed += sum(file.lstat().st_size for file in folder.rglob("*"))
         shutil.rmtree(folder, ignore_errors=True)
     return freed
