@@ -1,5 +1,6 @@
 """Crash-safe file writes: after a crash, or on a full disk, a file is complete or absent; and what callers are told."""
 
+import ctypes
 import errno
 import os
 import secrets
@@ -8,13 +9,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from freerein.errors import OutOfStorage, Unavailable
+from freerein.errors import FailedPrecondition, OutOfStorage, Unavailable
 
 TEMP_SUFFIX = ".tmp"
 TOKEN = "[0-9a-f]" * 8
 """Glob pattern of the end of our temporary names, `secrets.token_hex(4)`: people's own hidden folders have others."""
 
 _DELETED = ".deleted-"
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 _REFUSALS = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG}
 OUT_OF_FILES = frozenset({errno.EMFILE, errno.ENFILE})
 """Errors of a process, or a machine, that may open no more files."""
@@ -85,6 +87,25 @@ def delete_folder(folder: Path) -> None:
     fsync_folder(folder.parent)
     for deleted in folder.parent.glob(f"{_DELETED}{TOKEN}"):
         shutil.rmtree(deleted, ignore_errors=True)
+
+
+def exchange(one: Path, other: Path) -> None:
+    """Swaps two folders in one step: a process that is killed leaves each of them whole, under one of the names.
+
+    Raises:
+        FailedPrecondition: The file system cannot, such as NFS.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE):
+        number = ctypes.get_errno()
+        if number in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP):
+            raise FailedPrecondition(
+                "The file system must swap two folders in one step; this one cannot.",
+                hint="Delete the old one first, or use a local disk.",
+            )
+        raise OSError(number, os.strerror(number))
+    for folder in {one.parent, other.parent}:
+        fsync_folder(folder)
 
 
 def make_folder(folder: Path) -> None:

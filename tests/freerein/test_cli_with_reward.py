@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import app
-from freerein.data import DatasetSpec, create
+from freerein.data import Dataset, DatasetSpec, create
 from freerein.ports import PORTS
 from freerein.types.common import ActionSpec, Trajectory
 
@@ -115,12 +115,14 @@ def test_what_cannot_be_asked_is_an_error_that_names_the_option(folder: Path, wo
 
 def test_a_fit_that_is_refused_leaves_no_dataset_of_its_images(folder: Path) -> None:
     words = ("fit", "reward", "pictures", "--images", str(folder / "frames"), "--json")
+    before = Dataset(folder / "datasets/demos").fingerprint
     for setting in ("steps", "nonsense=1"):
         assert _run(*words, "--set", setting).exit_code == 1
         assert [path.name for path in (folder / "datasets").iterdir()] == ["demos"]
     refused = _run("fit", "reward", "demos", "--images", str(folder / "frames"), "--replace", "--set", "x=1")
     assert refused.exit_code == 1
     assert _json("dataset", "list")[0]["datasets"] == ["demos"]
+    assert Dataset(folder / "datasets/demos").fingerprint == before
 
 
 def test_only_where_every_service_answers_there_is_no_such_fit(

@@ -2,7 +2,9 @@
 
 import fcntl
 import json
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +15,19 @@ from typer.testing import CliRunner, Result
 
 from freerein.atomic_files import delete_folder
 from freerein.cli.__main__ import app
-from freerein.data import Dataset, DatasetSpec, FolderSource, create, open_writer
-from freerein.data.dataset_recorder import recording
+from freerein.data import Dataset, DatasetSpec, FolderSource, create, imported, open_writer, truth
+from freerein.data.dataset_recorder import DatasetRecorder, recording
 from freerein.data.folder_locks import in_use
 from freerein.data.labels import LabelsWriter
-from freerein.errors import FailedPrecondition, InvalidInput, NotFound, Overloaded
+from freerein.data.removal import replace as replace_dataset
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound, Overloaded, Unavailable
 from freerein.jobs.in_use import IsNamed, check_unused, names_dataset, names_model, names_run
 from freerein.jobs.store import JobStore
 from freerein.serving.model_cache import ModelCache
 from freerein.serving.model_store import ModelStore
-from freerein.types.common import ActionSpec, ModelRef, Trajectory
+from freerein.types.common import ActionSpec, Camera, ModelRef, Trajectory
 from freerein.types.learning import ActivateModelRequest, DeleteModelRequest
+from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksResponse, Task
 
 RUN = "8bc1f7" + "0" * 26
 SPEC = DatasetSpec(fps=10, cameras={"top": (4, 5, 3)}, action=ActionSpec(2, 0, ("x", "y")), robot_type="arm")
@@ -203,8 +207,12 @@ def demos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def recorded(root: Path, frames: int = 3) -> Path:
     with create(root, SPEC) as writer:
-        writer.append(Trajectory({"top": np.zeros((frames, 4, 5, 3), np.uint8)}, np.zeros((frames, 2), np.float32)))
+        writer.append(trajectory(frames))
     return root
+
+
+def trajectory(frames: int) -> Trajectory:
+    return Trajectory({"top": np.zeros((frames, 4, 5, 3), np.uint8)}, np.zeros((frames, 2), np.float32))
 
 
 def images(folder: Path, *sizes: int) -> FolderSource:
@@ -258,6 +266,70 @@ def test_a_dataset_is_replaced_once_the_new_one_is_whole(tmp_path: Path, demos: 
     assert [path.name for path in demos.parent.iterdir()] == ["demos"]
 
 
+def test_a_dataset_whose_replacement_fails_or_is_of_no_use_stays(tmp_path: Path, demos: Path) -> None:
+    def refuse() -> None:
+        assert len(Dataset(demos)[0].actions) == 1
+        raise FailedPrecondition("A fit is refused.")
+
+    with pytest.raises(FileNotFoundError):
+        replace_dataset(demos, tmp_path / "missing", check_unused=lambda: None)
+    with pytest.raises(FailedPrecondition):
+        import_for(refuse, images(tmp_path / "pictures", 4), demos)
+    assert len(Dataset(demos)[0].actions) == 3
+    assert [path.name for path in demos.parent.iterdir()] == ["demos"]
+
+
+def test_a_dataset_that_a_fit_names_by_the_end_of_an_import_or_a_recording_stays(tmp_path: Path, demos: Path) -> None:
+    fits = JobStore(tmp_path / "fits/segmentation", noun="fit")
+    source, check = images(tmp_path / "pictures", 4), partial(check_unused, tmp_path, "It", names_dataset("demos"))
+
+    def queue_and_break() -> None:
+        job(tmp_path, "fits/segmentation", {"dataset": "demos"})
+        raise Unavailable("No answer came.")
+
+    fit = job(tmp_path, "fits/segmentation", {"dataset": "demos"})
+    with pytest.raises(FailedPrecondition, match=f"fit {fit[:8]}"):
+        import_for(lambda: None, source, demos, check_unused=check)
+    with pytest.raises(FailedPrecondition, match=f"fit {fit[:8]}"):
+        record(demos, demonstration(), demonstration(), check_unused=check)
+    assert len(Dataset(demos)[0].actions) == 3
+    fits.record(fit, "cancelled")
+    with pytest.raises(Unavailable):
+        import_for(queue_and_break, source, demos, check_unused=check)
+    assert len(Dataset(demos)[0].actions) == 1
+
+
+def import_for(use: Callable[[], None], source: FolderSource, root: Path, **options: Any) -> None:
+    with imported(source, root, replaces=True, **options):
+        use()
+
+
+def test_a_recording_replaces_a_dataset_once_it_is_complete(demos: Path) -> None:
+    with pytest.raises(InvalidInput):
+        record(demos, demonstration(frames=0))
+    with pytest.raises(Unavailable):
+        record(demos, demonstration())
+    assert len(Dataset(demos)[0].actions) == 3
+    record(demos, demonstration(), demonstration())
+    assert Dataset(demos).lengths.tolist() == [1, 1]
+    assert [path.name for path in demos.parent.iterdir()] == ["demos"]
+
+
+def record(root: Path, *demonstrations: DemonstrateResponse, **options: Any) -> None:
+    """Replaces a dataset by a recording of two demonstrations, of which these arrive."""
+    camera = Camera("top", 4, 5, 3)
+    task = Task("pick", "arm", "", (camera,), SPEC.action, control_dt_s=0.1, skills=(), max_episode_steps=9)
+    request, tasks = DemonstrateRequest("pick", "random", count=2), ListTasksResponse((task,))
+    with DatasetRecorder(root, request, tasks, replaces=True, **options) as recording:
+        for each in demonstrations:
+            recording.append(each)
+        recording.check_complete()
+
+
+def demonstration(frames: int = 1) -> DemonstrateResponse:
+    return DemonstrateResponse(0, replace(trajectory(frames), terminated=np.zeros(frames, np.bool_)))
+
+
 def test_decoded_frames_are_pruned_and_what_killed_processes_left_and_nothing_else(tmp_path: Path, demos: Path) -> None:
     datasets, abandoned, busy = demos.parent, demos.with_name(".import-00000000"), demos.with_name(".import-00000001")
     frames = Dataset(demos).cached_frames("top")
@@ -288,14 +360,31 @@ def test_decoded_frames_are_pruned_and_what_killed_processes_left_and_nothing_el
     assert all(path.is_file() for path in kept)
 
 
-def test_a_recording_of_nothing_leaves_no_dataset_and_an_empty_one_is_in_nobodys_way(tmp_path: Path) -> None:
+def test_a_recording_of_nothing_leaves_no_dataset_and_one_that_was_killed_goes_on(tmp_path: Path) -> None:
     root = tmp_path / "datasets" / "demos"
     with pytest.raises(InvalidInput), recording(root, SPEC, {}):
         raise InvalidInput("Refused.")
     assert not list(root.parent.iterdir())
-    create(root, replace(SPEC, fps=20)).close()  # as a process that was killed leaves it
+    create(root, SPEC).close()  # as a process that was killed leaves it
     with recording(root, SPEC, {"seed": 1}) as writer:
-        writer.append(Trajectory({"top": np.zeros((1, 4, 5, 3), np.uint8)}, np.zeros((1, 2), np.float32)))
+        writer.append(trajectory(1))
     with pytest.raises(FailedPrecondition, match="its own request"), recording(root, SPEC, {"seed": 2}):
         pass
     assert len(Dataset(root)) == 1
+
+
+def test_a_recording_deletes_nothing_of_a_dataset_that_has_no_trajectories(tmp_path: Path) -> None:
+    root = recorded(tmp_path / "demos")
+    (root / "recording.json").write_text('{"seed": 1}')
+    (root / "notes.txt").write_text("of the user")
+    (root / "data/chunk-000").rename(root / "data/moved")
+    for spec, request in ((SPEC, {"seed": 2}), (replace(SPEC, fps=20), {"seed": 1})):
+        with pytest.raises(FailedPrecondition), recording(root, spec, request):
+            pass
+    with recording(root, SPEC, {"seed": 1}):
+        pass
+    truth.save(root, 1, np.zeros(3, np.int64))
+    with pytest.raises(FailedPrecondition, match="and none of these"), recording(root, SPEC, {"seed": 1}):
+        pass
+    names = {path.name for path in root.rglob("*.*")}
+    assert names >= {"notes.txt", "info.json", "recording.json", "file-000.parquet", "file-001.parquet"}

@@ -28,6 +28,7 @@ from freerein.data.folders import FolderSource as FolderSource
 from freerein.data.folders import ImageSource as ImageSource
 from freerein.data.importing import Source as Source
 from freerein.data.importing import import_trajectories as import_trajectories
+from freerein.data.importing import imported as imported
 from freerein.data.label_table import LabelOptions as LabelOptions
 from freerein.data.label_table import TimeUnit as TimeUnit
 from freerein.data.layout import DatasetSpec as DatasetSpec

@@ -4,8 +4,8 @@
 """
 
 import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -14,22 +14,27 @@ from typing import Any, Self
 from freerein import wire
 from freerein.atomic_files import delete_folder, write_atomic
 from freerein.clients.tasks import select_task
-from freerein.data import DatasetSpec, Writer, create, delete, integer_fps, open_writer
+from freerein.data import DatasetSpec, Writer, create, integer_fps, labels, layout, meta, open_writer, tags, truth
+from freerein.data.folder_locks import temporary_folder
+from freerein.data.importing import publish
 from freerein.errors import FailedPrecondition, InvalidInput, Unavailable
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksResponse, Task
+
+_REQUEST_FILE = "recording.json"
 
 
 class DatasetRecorder:
     """Writes the demonstrations of a request into a dataset, each once; a context manager.
 
-    A new dataset is made for the first demonstration, so that a request that the service refuses leaves none, and
-    keeps one that is to be replaced.
+    A new dataset is made for the first demonstration, so that a request that the service refuses leaves none. One that
+    is to replace another is made beside it; the other goes once the new one is complete, else the new one does.
 
     Args:
         root: The dataset's folder; existing trajectories are kept.
         request: The request; its `first` is ignored.
         tasks: Tasks of the sim service.
-        replaces: Whether a dataset that is there is deleted first, whatever it holds.
+        replaces: Whether a dataset that is there is replaced, whatever it holds.
+        check_unused: Called just before; raises where it must not be replaced.
 
     Raises:
         NotFound: Unknown task.
@@ -38,7 +43,13 @@ class DatasetRecorder:
     """
 
     def __init__(
-        self, root: Path, request: DemonstrateRequest, tasks: ListTasksResponse, *, replaces: bool = False
+        self,
+        root: Path,
+        request: DemonstrateRequest,
+        tasks: ListTasksResponse,
+        *,
+        replaces: bool = False,
+        check_unused: Callable[[], object] = lambda: None,
     ) -> None:
         self._root = root
         self._spec = dataset_spec(
@@ -49,7 +60,9 @@ class DatasetRecorder:
         if request.conditions:
             self._as_json["conditions"] = sorted(request.conditions)
         self._request = request
-        self._replaces = replaces
+        self._replaces = replaces and root.exists()
+        self._check_unused = check_unused
+        self._opened = ExitStack()
         self._writer = self._open() if root.exists() and not replaces else None
 
     def __len__(self) -> int:
@@ -85,34 +98,24 @@ class DatasetRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if self._writer is not None:
-            close(self._writer, self._root)
+        self._opened.__exit__(kind, error, traceback)
 
     def _open(self) -> Writer:
-        if self._replaces and self._root.exists():
-            delete(self._root)
-        return open_or_resume(self._root, self._spec, self._as_json)
+        root = self._opened.enter_context(self._replacement()) if self._replaces else self._root
+        return self._opened.enter_context(recording(root, self._spec, self._as_json))
+
+    @contextmanager
+    def _replacement(self) -> Iterator[Path]:
+        """Yields the folder of a dataset that takes its place in the end, if it is complete."""
+        with temporary_folder(self._root.parent, prefix=".record-") as folder:
+            yield folder / self._root.name
+            if self.is_complete:
+                publish(folder / self._root.name, self._root, replaces=True, check_unused=self._check_unused)
 
 
 @contextmanager
 def recording(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) -> Iterator[Writer]:
-    """Yields the writer of `open_or_resume`; a dataset of which nothing was recorded is deleted in the end."""
-    writer = open_or_resume(root, spec, request)
-    try:
-        yield writer
-    finally:
-        close(writer, root)
-
-
-def close(writer: Writer, root: Path) -> None:
-    """Closes the writer of a dataset; deletes the dataset if nothing was recorded."""
-    if not len(writer):
-        delete_folder(root)
-    writer.close()
-
-
-def open_or_resume(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) -> Writer:
-    """Returns the writer of a new dataset, or of one whose recording was interrupted.
+    """Yields the writer of a new dataset, deleted if nothing is recorded, or of one whose recording was interrupted.
 
     Args:
         root: The dataset's folder.
@@ -120,40 +123,54 @@ def open_or_resume(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) ->
         request: What is recorded, as JSON; must be equal to resume.
 
     Raises:
-        FailedPrecondition: The dataset was recorded with another request, or has another writer.
+        NotFound: There is something else in `root`.
+        FailedPrecondition: The dataset was recorded with another request, has other features, has lost its
+            trajectories, or has another writer.
     """
-    writer = _opened(root, spec)
-    try:
-        path = root / "recording.json"
-        earlier = json.loads(path.read_bytes()) if path.is_file() else None
-        if len(writer) and earlier != request:
-            raise FailedPrecondition(
-                "A recording can be resumed only with its own request; this dataset was recorded with another.",
-                hint="Choose another name for the dataset, ask for the same with a larger count, or delete it: "
-                "`freerein dataset rm NAME`.",
-            )
-        if writer.spec != spec:
-            raise FailedPrecondition(
-                "A recording can be resumed only by a version of freerein that stores the same features; this dataset "
-                "was begun by another.",
-                hint="Choose another name for the dataset, or delete it: `freerein dataset rm NAME`.",
-            )
-        if earlier != request:
-            write_atomic(path, json.dumps(request).encode())
-    except BaseException:
-        close(writer, root)
-        raise
-    return writer
+    is_new = not root.exists()
+    if not is_new:
+        _check_resumable(root, spec, request)
+    with create(root, spec) if is_new else open_writer(root) as writer:
+        try:
+            if not (root / _REQUEST_FILE).exists():
+                write_atomic(root / _REQUEST_FILE, json.dumps(request).encode())
+            yield writer
+        finally:
+            if is_new and not len(writer):
+                delete_folder(root)
 
 
-def _opened(root: Path, spec: DatasetSpec) -> Writer:
-    """Returns the writer of a dataset that holds something, or of a new one: an empty one resumes nothing."""
-    if root.exists():
-        writer = open_writer(root)
-        if len(writer):
-            return writer
-        close(writer, root)
-    return create(root, spec)
+def _check_resumable(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) -> None:
+    """Raises FailedPrecondition where a recording is not to go on, before a writer repairs or deletes anything."""
+    found, path = meta.read_spec(root), root / _REQUEST_FILE
+    if found is None:
+        return  # `open_writer` refuses it
+    earlier = json.loads(path.read_bytes()) if path.is_file() else None
+    count = len(layout.numbered_files(root / "data"))
+    if earlier != request and (count or earlier is not None):
+        raise FailedPrecondition(
+            "A recording can be resumed only with its own request; this dataset was recorded with another.",
+            hint="Choose another name for the dataset, ask for the same with a larger count, or delete it: "
+            "`freerein dataset rm NAME`.",
+        )
+    if found != spec:
+        raise FailedPrecondition(
+            "A recording can be resumed only by a version of freerein that stores the same features; this dataset "
+            "was begun by another.",
+            hint="Choose another name for the dataset, or delete it: `freerein dataset rm NAME`.",
+        )
+    if not count and _has_lost_trajectories(root):
+        raise FailedPrecondition(
+            "A recording can be resumed only where its trajectories are; this dataset has labels or tags of "
+            "trajectories, and none of these.",
+            hint="Restore `data/` from a copy, choose another name, or delete it: `freerein dataset rm NAME`.",
+        )
+
+
+def _has_lost_trajectories(root: Path) -> bool:
+    """Whether a dataset without trajectories has what is only made of some: an append may leave labels of the first."""
+    has_truth = max(truth.stored(root), default=0) > 0
+    return has_truth or (root / labels.FOLDER).exists() or tags.read(root) is not None
 
 
 def dataset_spec(task: Task, *, cameras: tuple[str, ...], height: int, width: int) -> DatasetSpec:

@@ -1,6 +1,7 @@
 """Imports trajectories of other tools as a dataset of ours: all of them, or none."""
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -13,10 +14,10 @@ from freerein.data import truth
 from freerein.data.counter_columns import CounterColumns
 from freerein.data.folder_locks import temporary_folder
 from freerein.data.layout import DatasetSpec
-from freerein.data.removal import replace
+from freerein.data.removal import delete, replace
 from freerein.data.trajectory_file import State
 from freerein.data.writer import Writer, create
-from freerein.errors import AlreadyExists, InvalidInput
+from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput
 from freerein.types.common import Trajectory
 
 
@@ -72,20 +73,37 @@ class Source(Protocol):
 def import_trajectories(
     source: Source, root: Path, *, replaces: bool = False, on_count: Callable[[int], None] = lambda _: None
 ) -> tuple[str, ...]:
+    """Writes a new dataset with the trajectories of a source, as `imported`; returns warnings of what was written."""
+    with imported(source, root, replaces=replaces, on_count=on_count) as warnings:
+        return warnings
+
+
+@contextmanager
+def imported(
+    source: Source,
+    root: Path,
+    *,
+    replaces: bool = False,
+    check_unused: Callable[[], object] = lambda: None,
+    on_count: Callable[[int], None] = lambda _: None,
+) -> Iterator[tuple[str, ...]]:
     """Writes a new dataset with the trajectories of a source; nothing is left of one that fails.
+
+    Nor of one where the body raises, unless the dataset is in use by then: one that it replaced is back.
 
     Args:
         source: The trajectories.
         root: The new dataset's folder.
         replaces: Whether a dataset that is there is replaced, once the new one is whole.
+        check_unused: Raises FailedPrecondition where a dataset is in use that would be replaced or deleted.
         on_count: Called with the number of trajectories written.
 
-    Returns:
+    Yields:
         Warnings of what was written.
 
     Raises:
         AlreadyExists: `root` exists, and is not to be replaced.
-        FailedPrecondition: The dataset to replace is being written.
+        FailedPrecondition: The dataset to replace is in use or being written, or cannot be replaced in one step.
         InvalidInput: A trajectory is missing or corrupt, does not match the spec, or there is none.
         UnsupportedMedia, Unimplemented: As `freerein.video.open_video`.
     """
@@ -93,31 +111,49 @@ def import_trajectories(
         raise _taken()
     if not len(source):
         raise InvalidInput("What is imported must hold a trajectory; it holds none.", hint="Name another folder.")
-    root.parent.mkdir(parents=True, exist_ok=True)
     with temporary_folder(root.parent, prefix=".import-") as folder:
         unfinished = folder / root.name
-        with create(unfinished, source.spec) as writer:
-            counters = CounterColumns(source.spec.action.names)
-            for count, recorded in enumerate(source.recorded(), start=1):
-                _append(writer, unfinished, source, recorded)
-                counters.add(recorded.trajectory.actions)
-                on_count(count)
-            if not len(writer):
-                raise InvalidInput("A trajectory must be whole; none is.", hint="`freerein dataset verify FOLDER`.")
-        _publish(unfinished, root, aside=folder / "replaced" if replaces else None)
+        warnings = _write(source, unfinished, on_count)
+        publish(unfinished, root, replaces=replaces, check_unused=check_unused)
+        try:
+            yield warnings
+        except BaseException:
+            with suppress(FailedPrecondition):
+                _undo(unfinished, root, check_unused)
+            raise
+
+
+def _write(source: Source, unfinished: Path, on_count: Callable[[int], None]) -> tuple[str, ...]:
+    with create(unfinished, source.spec) as writer:
+        counters = CounterColumns(source.spec.action.names)
+        for count, recorded in enumerate(source.recorded(), start=1):
+            _append(writer, unfinished, source, recorded)
+            counters.add(recorded.trajectory.actions)
+            on_count(count)
+        if not len(writer):
+            raise InvalidInput("A trajectory must be whole; none is.", hint="`freerein dataset verify FOLDER`.")
     return tuple(counters.sentences())
 
 
-def _publish(unfinished: Path, root: Path, *, aside: Path | None) -> None:
-    """Gives a new dataset its name; where there is one of that name, it is moved aside, or this is refused."""
-    if aside is not None and _is_taken(root):
-        replace(root, unfinished, aside=aside)
+def publish(unfinished: Path, root: Path, *, replaces: bool, check_unused: Callable[[], object]) -> None:
+    """Gives a new dataset its name; where there is one of that name, they change places, or this is refused."""
+    if replaces and _is_taken(root):
+        replace(root, unfinished, check_unused=check_unused)
         return
     try:
         unfinished.rename(root)
     except OSError:
         raise _taken() from None
     fsync_folder(root.parent)
+
+
+def _undo(replaced: Path, root: Path, check_unused: Callable[[], object]) -> None:
+    """Gives the dataset that was replaced its name again; where there was none, the new one is deleted."""
+    if _is_taken(replaced):
+        replace(root, replaced, check_unused=check_unused)
+    else:
+        check_unused()
+        delete(root)
 
 
 def _is_taken(root: Path) -> bool:

@@ -1,11 +1,11 @@
 """Deletes datasets, and what can be made again: decoded frames, and what killed processes left."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
-from freerein.atomic_files import TOKEN, delete_folder, fsync_folder
+from freerein.atomic_files import TOKEN, delete_folder, exchange
 from freerein.data import labels, layout
 from freerein.data.cache import delete_cached, unused_folders
 from freerein.data.folder_locks import unused
@@ -30,12 +30,14 @@ def delete(root: Path) -> None:
             delete_folder(root)
 
 
-def replace(root: Path, new: Path, *, aside: Path) -> None:
-    """Puts a new dataset in the place of another, which is moved aside; raises as `delete`."""
+def replace(root: Path, new: Path, *, check_unused: Callable[[], object]) -> None:
+    """Puts a new dataset in the place of another, which takes the new one's; raises as `delete` and `exchange`.
+
+    `check_unused` is called just before, and raises where the other one must stay.
+    """
     with _unwritten(root):
-        root.rename(aside)
-        new.rename(root)
-    fsync_folder(root.parent)
+        check_unused()
+        exchange(root, new)
 
 
 def prune(datasets: Path) -> int:

@@ -1,7 +1,9 @@
 """`freerein dataset`: imports, inspects, checks, annotates and exports datasets; finds those that others name."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -26,7 +28,6 @@ from freerein.data import (
     TextKind,
     TimeUnit,
     dataset_path,
-    import_trajectories,
 )
 from freerein.errors import InvalidInput, NotFound
 from freerein.jobs import wall_clock
@@ -107,7 +108,8 @@ def import_dataset(
     said = source.notes  # before video is decoded, which may take an hour
     if not as_json:
         typer.echo("".join(f"{note}\n" for note in said), nl=False)
-    warnings = import_with_progress(source, name, replaces=replace, is_shown=not as_json)
+    with imported_with_progress(source, name, replaces=replace, is_shown=not as_json) as warnings:
+        pass  # what is shown undoes nothing
     _show_import(name, source, warnings, said=said, as_json=as_json)
 
 
@@ -135,11 +137,16 @@ def _source(
     return FolderSource(path, size=size, fps=fps, tags=table) if kind == "folder" else MimeSource(path, size=size)
 
 
-def import_with_progress(source: Source, name: str, *, replaces: bool, is_shown: bool) -> tuple[str, ...]:
-    """Imports trajectories into the data directory, with a bar; returns and raises as `import_trajectories`."""
+@contextmanager
+def imported_with_progress(source: Source, name: str, *, replaces: bool, is_shown: bool) -> Iterator[tuple[str, ...]]:
+    """Imports trajectories into the data directory, with a bar; yields and raises as `data.imported`."""
     root = replaceable_root(name) if replaces else dataset_root(name)
-    with progress_bar(f"importing {name}", total=len(source), is_shown=is_shown) as on_count:
-        return import_trajectories(source, root, replaces=replaces, on_count=on_count)
+    check = partial(replaceable_root, name)
+    with ExitStack() as stack:
+        with progress_bar(f"importing {name}", total=len(source), is_shown=is_shown) as on_count:
+            imported = data.imported(source, root, replaces=replaces, check_unused=check, on_count=on_count)
+            warnings = stack.enter_context(imported)
+        yield warnings
 
 
 def _names(given: list[str] | None) -> tuple[str, ...]:

@@ -9,13 +9,12 @@ from typing import Annotated, Any
 
 import typer
 
-from freerein import data, wire
+from freerein import wire
 from freerein.cli.commands.dataset import (
     Replace,
     check_no_path,
     dataset_root,
-    import_with_progress,
-    replaceable_root,
+    imported_with_progress,
 )
 from freerein.cli.connection import call, call_each, check_all_answer, check_only_unavailable
 from freerein.cli.jobs import display, fit_report
@@ -33,7 +32,7 @@ from freerein.clients import FitClient, ModelClient, SegmentationClient
 from freerein.data import ImageSource
 from freerein.data.lookup import unseen_cameras
 from freerein.data.meta import read_spec
-from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
+from freerein.errors import InvalidInput, ServiceError
 from freerein.jobs import wall_clock
 from freerein.types.jobs import MetricRow
 from freerein.types.learning import (
@@ -134,17 +133,11 @@ def reward(
 
 @contextmanager
 def _imported(images: Path, name: str, *, replaces: bool, as_json: bool) -> Iterator[None]:
-    """Imports a folder of images as a dataset; deletes one that is new again where the fit is refused."""
-    source, is_new = ImageSource(images), not dataset_root(name).exists()
-    import_with_progress(source, name, replaces=replaces, is_shown=not as_json)
-    typer.echo("".join(f"{note}\n" for note in source.notes if not as_json), nl=False)
-    try:
+    """Imports a folder of images as a dataset; undoes that where the fit is refused, unless it is queued."""
+    source = ImageSource(images)
+    with imported_with_progress(source, name, replaces=replaces, is_shown=not as_json):
+        typer.echo("".join(f"{note}\n" for note in source.notes if not as_json), nl=False)
         yield
-    except BaseException:
-        with suppress(FailedPrecondition):  # the fit was queued, though no answer came
-            if is_new:
-                data.delete(replaceable_root(name))
-        raise
 
 
 def _say_cameras(fit: Fit, *, as_json: bool) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -69,11 +70,11 @@ def demonstrate(
         privileged=truth,
         conditions=tuple(condition or ()),
     )
-    root = dataset_root(out) if not replace else replaceable_root(out)
+    root, check = (replaceable_root if replace else dataset_root)(out), partial(replaceable_root, out)
     with progress_bar(f"recording {out}", total=count, is_shown=not as_json) as on_count:
 
         async def use(client: SimClient) -> int:
-            return await record(client, request, root, replaces=replace, on_count=on_count)
+            return await record(client, request, root, replaces=replace, check_unused=check, on_count=on_count)
 
         held = call(SimClient, "sim", use)
     if as_json:
@@ -88,17 +89,18 @@ async def record(
     root: Path,
     *,
     replaces: bool = False,
+    check_unused: Callable[[], object] = lambda: None,
     on_count: Callable[[int], None],
 ) -> int:
     """Records demonstrations until a dataset holds `request.count`; trajectories that it holds already stay.
 
-    With `replaces` they go, once the first new one arrives.
+    With `replaces` they go once all new ones are there, unless `check_unused` raises.
 
     Returns the number of trajectories in the dataset, with which `on_count` is called at the start and after each one.
     Raises FailedPrecondition where the dataset was recorded with other options.
     """
     tasks = await client.list_tasks(ListTasksRequest())
-    with DatasetRecorder(root, request, tasks, replaces=replaces) as recording:
+    with DatasetRecorder(root, request, tasks, replaces=replaces, check_unused=check_unused) as recording:
         on_count(len(recording))
         if not recording.is_complete:
             async with aclosing(reconnecting(lambda: _rest(client, recording))) as demonstrations:
