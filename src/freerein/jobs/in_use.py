@@ -36,7 +36,8 @@ def check_unused(data_dir: Path, what: str, is_named: IsNamed) -> None:
                 continue
             except (OSError, ValueError, TypeError):
                 raise FailedPrecondition(
-                    f"{what} must not be in use; {job}, which has not ended, may name it: its configuration is damaged.",
+                    f"{what} must not be in use; {job}, which has not ended, may name it, but its configuration is "
+                    "damaged.",
                     hint=f"Restore its config.json, or delete its folder, whose name begins with {job_id[:8]}.",
                 ) from None
             if is_used:
@@ -49,8 +50,12 @@ def check_unused(data_dir: Path, what: str, is_named: IsNamed) -> None:
 
 def names_dataset(name: str) -> IsNamed:
     """Returns whether a job names a dataset; one that a run makes without a name for it begins with the run's id."""
-    return lambda job_id, config: name.partition(".")[0] == job_id or any(
-        name in (part.get("dataset"), _shared_name(part), *_iterations(part, "dataset")) for part in _objects(config)
+    return lambda job_id, config: (
+        name.partition(".")[0] == job_id
+        or any(
+            name in (part.get("dataset"), _shared_name(part), *_iterations(part, "dataset"))
+            for part in _objects(config)
+        )
     )
 
 
