@@ -128,7 +128,15 @@ def test_a_dataset_without_subtasks_is_refused(root: Path, kind: str) -> None:
         imported(root, **{kind: "subtask"})
 
 
-@pytest.mark.parametrize("rows", [[1] * 15, [["reach"]] * 15, [[{"style": "subtask"}]] * 15])
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [1] * 15,
+        [["reach"]] * 15,
+        [[{"style": "subtask"}]] * 15,
+        [[{"style": "subtask", "content": "reach", "timestamp": float("nan")}]] * 15,
+    ],
+)
 def test_rows_of_language_of_another_kind_are_refused(root: Path, rows: list[Any]) -> None:
     add_column(root, "language_persistent", pa.array(rows))
     with pytest.raises(InvalidInput, match="`language_persistent` must be"):

@@ -1,5 +1,6 @@
 """What LeRobot's datasets say of each timestep in words: its task, or its subtask."""
 
+import math
 import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
@@ -72,6 +73,8 @@ def _beginnings(rows: Sequence[Sequence[dict[str, Any]] | None]) -> list[tuple[f
         for each in row or ()
         if each["style"] == _STYLE
     }
+    if not all(math.isfinite(time_s) for time_s, _ in found):
+        raise ValueError("not finite")
     return sorted(found)
 
 
