@@ -75,7 +75,8 @@ Question = Callable[[Services, float], Awaitable[Answer]]
 def all_questions() -> list[Question]:
     """Returns the questions, equally many of each kind."""
     kinds = (segment, segment_over_rest, act, reward, demonstrate)
-    return [partial(kind, seed=seed) for kind in kinds for seed in range(_OF_EACH_KIND)] + [get_run] * _OF_EACH_KIND
+    runs = [partial(get_run) for _ in range(_OF_EACH_KIND)]  # each another question
+    return [partial(kind, seed=seed) for kind in kinds for seed in range(_OF_EACH_KIND)] + runs
 
 
 def check(answer: Answer, expected: Answer) -> None:
