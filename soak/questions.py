@@ -75,8 +75,8 @@ Question = Callable[[Services, float], Awaitable[Answer]]
 def all_questions() -> list[Question]:
     """Returns the questions, equally many of each kind."""
     kinds = (segment, segment_over_rest, act, reward, demonstrate)
-    runs = [partial(get_run) for _ in range(_OF_EACH_KIND)]  # each another question
-    return [partial(kind, seed=seed) for kind in kinds for seed in range(_OF_EACH_KIND)] + runs
+    questions: list[Question] = [partial(kind, seed=seed) for kind in kinds for seed in range(_OF_EACH_KIND)]
+    return questions + [partial(get_run) for _ in range(_OF_EACH_KIND)]  # each another question
 
 
 def check(answer: Answer, expected: Answer) -> None:
