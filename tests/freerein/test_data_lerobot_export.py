@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 from freerein.cli.__main__ import app
 from freerein.data import Dataset, LeRobotSource, import_trajectories, label, truth
 from freerein.data.labels import LabelsInfo, LabelsWriter
+from freerein.data.language_rows import subtasks_of, with_subtasks
 from freerein.data.lerobot_export import export_labels
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
 from freerein.types.common import ModelRef
@@ -151,32 +153,27 @@ def test_texts_of_other_styles_stay_and_others_subtasks_are_replaced_only_on_req
         ([[{"content": "reach", "style": "plan", "timestamp": "0"}]], "`timestamp` is string"),
     ],
 )
-@pytest.mark.parametrize("replaces", [False, True])
-def test_a_column_of_other_texts_is_refused(
-    original: Path, ours: Path, column: list[Any], found: str, replaces: bool
-) -> None:
+def test_a_column_of_other_texts_is_refused(column: list[Any], found: str) -> None:
+    rows = pa.table({"episode_index": [0], "language_persistent": pa.array(column)})
+    for read in (subtasks_of, partial(with_subtasks, subtasks={})):
+        with pytest.raises(InvalidInput, match=found):
+            read(rows)
+
+
+def test_features_that_are_no_objects_and_times_that_are_not_finite_are_refused(original: Path, ours: Path) -> None:
+    features: object
+    for features in (None, ["action"], {"action": []}):
+        write_info(original, features=features)
+        with pytest.raises(InvalidInput, match="must describe `features`"):
+            export_labels(ours, original)
+    write_info(original)
     path = original / DATA.format(0)
-    pq.write_table(pq.read_table(path).append_column("language_persistent", pa.array(column * 2 * STEPS)), path)
-    before = contents(original)
-    with pytest.raises(InvalidInput, match=found):
-        export_labels(ours, original, replaces=replaces)
-    assert contents(original) == before
-
-
-@pytest.mark.parametrize("features", [None, ["action"], {"action": []}])
-def test_features_that_are_no_objects_are_refused(original: Path, ours: Path, features: object) -> None:
-    write_info(original, features=features)
-    with pytest.raises(InvalidInput, match="must describe `features`"):
-        export_labels(ours, original)
-
-
-@pytest.mark.parametrize("time_s", [None, float("nan"), float("inf")])
-def test_times_that_are_not_finite_are_refused(original: Path, ours: Path, time_s: float | None) -> None:
-    path = original / DATA.format(0)
-    times = pa.array([0.0, time_s, *[0.2] * (2 * STEPS - 2)], pa.float32())
-    pq.write_table(pq.read_table(path).append_column("timestamp", times), path)
-    with pytest.raises(InvalidInput, match="`timestamp` of episode 0 must be a finite number"):
-        export_labels(ours, original)
+    table = pq.read_table(path)
+    for time_s in (None, float("nan"), float("inf")):
+        times = pa.array([0.0, time_s, *[0.2] * (2 * STEPS - 2)], pa.float32())
+        pq.write_table(table.append_column("timestamp", times), path)
+        with pytest.raises(InvalidInput, match="`timestamp` of episode 0 must be a finite number"):
+            export_labels(ours, original)
 
 
 def test_an_episode_in_two_data_files_has_the_timesteps_of_both_and_files_keep_their_mode(
