@@ -4,7 +4,7 @@ from experiments.segmentation.study import SUPERVISED, Method, context_of
 from freerein.learning.checkpoints import JSON
 
 CAUSAL, WHOLE, LOOKAHEAD = "causal", "bidirectional", "lookahead-5"
-OURS, OURS_FROM_LSE, OURS_AFTER = "ours", "ours_from_lse", "ours_after"
+OURS, OURS_FROM_LSE, OURS_AFTER, RECIPE = "ours", "ours_from_lse", "ours_after", "recipe"
 
 LEARNING_RATES = (5e-4, 1.5e-3, 5e-3, 1.5e-2)
 """Peak learning rates that every method tries."""
@@ -48,6 +48,19 @@ def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tupl
 def at_every_timestep(*names: str) -> tuple[Method, ...]:
     """Returns causal objectives whose network sees each timestep in one sequence, whatever the others' stride is."""
     return tuple(Method(f"{name}_stride-1", (CAUSAL,), {"objective": name, "stride": 1}) for name in names)
+
+
+def recipe(*, seeds: int) -> tuple[Method, ...]:
+    """Returns the recipe that `development` chose: normalised pooling, then the likelihood of the sets of skills.
+
+    Beside it stand two that are given less: no actions, and black frames.
+    """
+    settings: dict[str, JSON] = {"objective": "lse_per_timestep", "final_objective": "set_likelihood"}
+    return (
+        Method(RECIPE, (WHOLE,), settings, seeds=seeds),
+        Method(f"{RECIPE}_without_actions", (WHOLE,), settings | {"use_actions": False}, seeds=1),
+        Method(f"{RECIPE}_without_frames", (WHOLE,), settings, sees_frames=False, seeds=1),
+    )
 
 
 def lse_as_published() -> Method:
