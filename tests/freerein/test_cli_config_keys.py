@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from freerein import __version__
-from freerein.cli.__main__ import app
+from freerein.cli.__main__ import app, present_words
 
 
 def _help(*words: str) -> str:
@@ -21,9 +21,9 @@ def _help(*words: str) -> str:
         (("fit", "segmentation"), "steps", r"\d+", "Optimiser steps. 1 to 10000000."),
         (("fit", "imitation"), "use_robot_state", "false", "Whether an action also depends"),
         (("fit", "reward"), "seed", "0", "Seed of every random draw."),
-        (("runs", "start", "ppo"), "clip_range", "0.2", "PPO's clipping range"),
-        (("runs", "start", "evaluate"), "baseline", '"none"', "A policy that runs"),
-        (("runs", "start"), "behaviour", '"expert"', "`expert` and `random` are scripted"),
+        (("run", "ppo"), "clip_range", "0.2", "PPO's clipping range"),
+        (("run", "evaluate"), "baseline", '"none"', "A policy that runs"),
+        (("run",), "behaviour", '"expert"', "`expert` and `random` are scripted"),
     ],
 )
 def test_help_has_the_keys_with_default_and_meaning(
@@ -33,9 +33,23 @@ def test_help_has_the_keys_with_default_and_meaning(
 
 
 def test_help_of_one_kind_has_the_keys_of_no_other() -> None:
-    text = _help("runs", "start", "--set", "count=1", "collect")
+    text = _help("run", "--set", "count=1", "collect")
     assert "behaviour" in text
     assert "clip_range" not in text
+
+
+@pytest.mark.parametrize(
+    ("earlier", "present"),
+    [
+        ("runs start ppo --watch", "run ppo --watch"),
+        ("runs list --json", "jobs list --service orchestrator --json"),
+        ("runs artifacts 8b", "jobs artifacts 8b"),
+        ("fit rm 8b 9c", "jobs rm 8b 9c"),
+        ("fit reward list", "fit reward list"),
+    ],
+)
+def test_earlier_names_of_commands_are_still_understood(earlier: str, present: str) -> None:
+    assert present_words(earlier.split()) == present.split()
 
 
 def test_no_line_of_help_is_wider_than_the_terminal() -> None:

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from freerein.cli.__main__ import app
 from freerein.cli.jobs.display import draw
 from freerein.cli.jobs.ids import is_whole_id, whole_id
-from freerein.cli.jobs.next_steps import after_fit, after_run
+from freerein.cli.jobs.next_steps import next_steps
 from freerein.cli.jobs.options import configuration
 from freerein.cli.jobs.progress import JobProgress, by_relevance
 from freerein.cli.jobs.streams import reconnecting
@@ -173,20 +173,22 @@ def test_a_configuration_file_that_is_not_there_is_refused_by_its_path(tmp_path:
 
 def test_an_id_may_be_given_by_its_first_digits_or_a_readable_name() -> None:
     ids = ["8bc1f7" + "0" * 26, "a" * 32]
-    assert whole_id("8bc", ids, list_command="") == ids[0]
-    assert whole_id("ppo-yellow-left-of-green-8bc1f7", ids, list_command="") == ids[0]
+    assert whole_id("8bc", ids) == ids[0]
+    assert whole_id("ppo-yellow-left-of-green-8bc1f7", ids) == ids[0]
     assert is_whole_id(ids[0])
     assert not is_whole_id("ppo-yellow-left-of-green2-8bc1f7")  # as long as an id
     for given in ("", "ppo-", "ppo-yellow-left-of-green", "ppo-9bc1f7"):
         with pytest.raises(InvalidInput):
-            whole_id(given, ids, list_command="")
+            whole_id(given, ids)
 
 
 @pytest.mark.parametrize("kind", get_args(RunKind))
 def test_every_kind_of_run_says_what_to_do_next(kind: RunKind) -> None:
     names = {"task": "grid", "dataset": "mine", "model_name": "words", "iterations": 92}
     config = {**names, "service": "reward", "config": {"method": "language"}}
-    commands = [shlex.split(each, comments=True) for each in after_run(replace(_RUN, kind=kind, config=config))]
+    commands = [
+        shlex.split(each, comments=True) for each in next_steps("orchestrator", replace(_RUN, kind=kind, config=config))
+    ]
     assert commands
     assert all(_parses(words) for words in commands)
 
@@ -194,7 +196,7 @@ def test_every_kind_of_run_says_what_to_do_next(kind: RunKind) -> None:
 @pytest.mark.parametrize("service", ["segmentation", "imitation", "reward"])
 def test_every_fit_says_what_to_do_next(service: str) -> None:
     fit = Fit("0" * 32, "succeeded", {"method": "skills"}, dataset="mine", model_name="own", model=ModelRef("own", "1"))
-    assert all(_parses(shlex.split(each, comments=True)) for each in after_fit(service, fit))
+    assert all(_parses(shlex.split(each, comments=True)) for each in next_steps(service, fit))
 
 
 def _parses(words: list[str]) -> bool:

@@ -41,7 +41,7 @@ def test_a_fit_reports_tags_that_it_was_not_given_and_labels_that_it_never_sees(
     _json("dataset", "label", "own", str(labels))
 
     fit = _json("fit", "segmentation", "own", *(word for each in TINY for word in ("--set", each)), "--watch")
-    report = _json("fit", "report", fit["id"])
+    report = _json("jobs", "report", fit["id"])
     segments = _json("segment", "own", "--index", "0")
 
     assert (report["held_out"], report["labelled"]["trajectories"], report["labelled"]["timesteps"]) == (4, 2, 7)

@@ -1,4 +1,4 @@
-"""`freerein runs` as a user types it, with a real orchestrator, which collects from a real sim service."""
+"""`freerein run` and `jobs` as a user types them, with a real orchestrator, which collects from a real sim service."""
 
 import json
 import os
@@ -20,12 +20,12 @@ from freerein.ports import Ports
 
 pytestmark = [pytest.mark.e2e, pytest.mark.long]
 
-FEW = ("start", "collect", "--set", "task=grid", "--set", "dataset=few", "--set", "count=3", "--key", "few")
-LARGE = ("start", "collect", "--set", "task=blocks", "--set", "count=20", "--watch")  # few are under way at once
-MANY = ("start", "collect", "--set", "task=grid", "--set", "count=150", "--watch")
+FEW = ("run", "collect", "--set", "task=grid", "--set", "dataset=few", "--set", "count=3", "--key", "few")
+LARGE = ("run", "collect", "--set", "task=blocks", "--set", "count=20", "--watch")  # few are under way at once
+MANY = ("run", "collect", "--set", "task=grid", "--set", "count=150", "--watch")
 _SMALL = {"iterations": 1, "num_envs": 2, "num_steps": 8, "epochs": 1, "batch_size": 8, "episode_steps": 4}
 _PPO = {"task": "blocks.yellow-left-of-green", "reward": "oracle", "encoder": "spatial", **_SMALL}
-PPO = ("start", "ppo", *(word for key, value in _PPO.items() for word in ("--set", f"{key}={value}")), "--key", "ppo")
+PPO = ("run", "ppo", *(word for key, value in _PPO.items() for word in ("--set", f"{key}={value}")), "--key", "ppo")
 
 
 class Orchestrator:
@@ -59,8 +59,12 @@ def orchestrator(services: Orchestrator, monkeypatch: pytest.MonkeyPatch, tmp_pa
     return services
 
 
+def _command(words: tuple[str, ...]) -> list[str]:
+    return list(words) if words[0] == "run" else ["jobs", *words]
+
+
 def _run(*words: str) -> Result:
-    return CliRunner().invoke(app, ["runs", *words])
+    return CliRunner().invoke(app, _command(words))
 
 
 def _json(*words: str) -> list[dict[str, Any]]:
@@ -82,7 +86,7 @@ def _hearing_ctrl_c() -> Iterator[None]:
 @contextmanager
 def _watching(*words: str) -> "Iterator[subprocess.Popen[str]]":
     """A program that watches, once the run has made a step."""
-    command = [sys.executable, "-m", "freerein.cli", "runs", *words]
+    command = [sys.executable, "-m", "freerein.cli", *_command(words)]
     with _hearing_ctrl_c(), subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True, env=os.environ) as child:
         try:
             while " running 0/" in (line := _line(child)) or "queued" in line or '"step": 0' in line:
@@ -131,7 +135,7 @@ def test_the_metrics_of_a_run_are_its_whole_curve_or_a_decimated_one() -> None:
 def test_the_same_key_is_the_same_run_and_settings_change_the_file(tmp_path: Path) -> None:
     file = tmp_path / "grid.json"
     file.write_text(json.dumps({"task": "grid", "dataset": "keyed", "count": 3}))
-    words = ("start", "collect", "--config", str(file), "--set", "count=2", "--key", "twice")
+    words = ("run", "collect", "--config", str(file), "--set", "count=2", "--key", "twice")
 
     (first,), (second,) = _json(*words), _json(*words)
 
@@ -198,7 +202,7 @@ def test_ctrl_c_leaves_the_run_going_and_says_how_to_come_back() -> None:
     *command, run_id = again.split()
     (left,) = [run for run in _json("list") if run["id"].startswith(run_id)]
     _json("cancel", run_id)
-    assert (command, left["state"]) == (["freerein", "runs", "watch"], "running")
+    assert (command, left["state"]) == (["freerein", "jobs", "watch"], "running")
 
 
 def test_artifacts_are_listed_and_fetched_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -223,11 +227,11 @@ def test_a_step_that_no_run_can_have_is_a_mistake_of_the_command_line() -> None:
 @pytest.mark.parametrize(
     ("words", "field"),
     [
-        (("start", "collect", "--set", "task"), "set"),
-        (("start", "collect", "--config", "list.json"), "config"),
-        (("start", "collect", "--set", "colour=red"), "config"),
-        (("watch", "0" * 32), "id"),
-        (("resume", "no-id"), "id"),
+        (("run", "collect", "--set", "task"), "set"),
+        (("run", "collect", "--config", "list.json"), "config"),
+        (("run", "collect", "--set", "colour=red"), "config"),
+        (("watch", "0" * 32, "--service", "orchestrator"), "id"),
+        (("resume", "no-id", "--service", "orchestrator"), "id"),
     ],
 )
 def test_what_cannot_be_asked_is_an_error_that_names_the_field(words: tuple[str, ...], field: str) -> None:

@@ -128,13 +128,13 @@ def test_a_fit_that_is_refused_leaves_no_dataset_of_its_images(folder: Path) -> 
 def test_only_where_every_service_answers_there_is_no_such_fit(
     folder: Path, monkeypatch: pytest.MonkeyPatch, reserve_ports: Any
 ) -> None:
-    for name, ports in reserve_ports(["segmentation", "imitation"]).items():
+    for name, ports in reserve_ports(["segmentation", "imitation", "orchestrator"]).items():
         monkeypatch.setitem(PORTS, name, ports)
 
-    assert _json("fit", "list") == []
+    assert _json("jobs", "list") == []
     for fit in ("0" * 32, "0"):
         error = json.loads(_run("fit", "cancel", fit, "--json").stderr)["error"]
         assert error["code"] == "unavailable"
-        assert "segmentation, imitation" in error["detail"]
-    one = _run("fit", "cancel", "0" * 32, "--service", "reward", "--json")
+        assert "segmentation, imitation, orchestrator" in error["detail"]
+    one = _run("jobs", "cancel", "0" * 32, "--service", "reward", "--json")
     assert json.loads(one.stderr)["error"]["code"] == "not_found"

@@ -16,23 +16,41 @@ COMMANDS = {
     "reward": "Reward images against a goal text.",
     "act": "Ask a policy for the next actions towards goal images, a recipe of skills, or a goal text.",
     "sim": "List simulated tasks and record demonstrations.",
-    "fit": "Fits of models.",
-    "runs": "Runs: collect, fit, label, ppo, distill, evaluate, pipelines and skills; they survive crashes.",
+    "fit": "Start a fit of a model.",
+    "run": "Start a run, which survives crashes: collect, fit, label, ppo, distill, evaluate, pipeline or skills.",
+    "jobs": "Fits and runs: list, watch, resume and delete them.",
     "dataset": "Import, inspect, check, annotate and export datasets.",
     "models": "Models of the segmentation, imitation and reward services.",
 }
 """The first paragraph of each command's help."""
 
 
+_JOB_VERBS = ("list", "watch", "metrics", "report", "cancel", "rm", "resume")
+
+
 class _LazyGroup(TyperGroup):
     """Imports the module of a command, with its `app`, only when the command runs: `freerein --help` is fast."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        name, placeholder, rest = super().resolve_command(ctx, args)
+        name, placeholder, rest = super().resolve_command(ctx, present_words(args))
         if name is None or placeholder is None:
             return name, placeholder, rest
         package = "freerein.cli" if name in ("doctor", "demo") else "freerein.cli.commands"
         return name, typer.main.get_command(import_module(f"{package}.{name}").app), rest
+
+
+def present_words(args: list[str]) -> list[str]:
+    """Returns a command line with `run` and `jobs` in place of what `runs` and `fit` did before there were these."""
+    match args:
+        case ["runs", "start", *rest]:
+            return ["run", *rest]
+        case ["runs", str(verb), *rest] if verb not in ("artifacts", "--help"):
+            return ["jobs", verb, "--service", "orchestrator", *rest]
+        case ["runs", *rest]:
+            return ["jobs", *rest]
+        case ["fit", str(verb), *rest] if verb in _JOB_VERBS:
+            return ["jobs", verb, *rest]
+    return args
 
 
 def _say_version(asked: bool) -> None:

@@ -2,7 +2,7 @@
 
 import asyncio
 import os
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping
 from typing import TypeVar
 
 import typer
@@ -30,7 +30,7 @@ def call(client: type[C], service: str, use: Callable[[C], Awaitable[T]]) -> T:
 
 
 def call_each(
-    client: type[C], services: Sequence[str], use: Callable[[C], Awaitable[T]]
+    clients: Mapping[str, type[C]], use: Callable[[C], Awaitable[T]]
 ) -> tuple[dict[str, T], dict[str, ServiceError]]:
     """Returns the answers of several services, at least one, and the errors of the others, by service.
 
@@ -39,14 +39,14 @@ def call_each(
 
     async def answer(service: str) -> T | ServiceError:
         try:
-            return await _call(client, service, use)
+            return await _call(clients[service], service, use)
         except ServiceError as error:
             return error
 
     async def ask() -> list[T | ServiceError]:
-        return await asyncio.gather(*map(answer, services))
+        return await asyncio.gather(*map(answer, clients))
 
-    replies = dict(zip(services, asyncio.run(ask()), strict=True))
+    replies = dict(zip(clients, asyncio.run(ask()), strict=True))
     answers = {service: reply for service, reply in replies.items() if not isinstance(reply, ServiceError)}
     errors = {service: reply for service, reply in replies.items() if isinstance(reply, ServiceError)}
     if not answers:

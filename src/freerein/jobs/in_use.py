@@ -41,10 +41,9 @@ def check_unused(data_dir: Path, what: str, is_named: IsNamed) -> None:
                     hint=f"Restore its config.json, or delete its folder, whose name begins with {job_id[:8]}.",
                 ) from None
             if is_used:
-                command = f"freerein {'fit' if store.noun == 'fit' else 'runs'}"
                 raise FailedPrecondition(
                     f"{what} must not be in use; {job}, which has not ended, names it.",
-                    hint=f"Wait for its end, or end it: `{command} cancel {job_id[:8]}`.",
+                    hint=f"Wait for its end, or end it: `freerein jobs cancel {job_id[:8]}`.",
                 )
 
 

@@ -56,13 +56,13 @@ def _convert(artifacts: Path, run: str, folder: Path) -> str:
     """Writes the policy in a run's artifacts as a model of this service; returns the name of the run's task."""
     if not artifacts.parent.is_dir():
         raise NotFound(
-            "The run must exist; there is none of that id.", field="run", hint="`freerein runs list` names the runs."
+            "The run must exist; there is none of that id.", field="run", hint="`freerein jobs list` names the runs."
         )
     if not (artifacts / policy_files.NAMES.card).is_file():
         raise FailedPrecondition(
             "The run must be a ppo run that succeeded; it has left no policy.",
             field="run",
-            hint="`freerein runs list` tells the state of each.",
+            hint="`freerein jobs list` tells the state of each.",
         )
     policy = policy_files.load_policy(artifacts, device="cpu")
     spec, control = _spec(policy)

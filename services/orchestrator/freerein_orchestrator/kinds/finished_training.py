@@ -65,5 +65,5 @@ def _check_same(then: Mapping[str, JSON], config: PPOConfig) -> None:
         raise InvalidInput(
             f"A run that goes on with another must have its configuration; {changes}.",
             field=f"config.{changed[0]}",
-            hint="`freerein runs resume ID --iterations N` takes it over. `init_from` begins a new training.",
+            hint="`freerein jobs resume ID --iterations N` takes it over. `init_from` begins a new training.",
         )

@@ -110,7 +110,7 @@ class PolicyStore:
         raise InvalidInput(
             "A run to build on must exist, or be an earlier step of the pipeline; there is none of that name.",
             field=field,
-            hint="`freerein runs list` names the runs.",
+            hint="`freerein jobs list` names the runs.",
         )
 
     def pin(self, names: Iterable[str]) -> None:

@@ -39,7 +39,7 @@ _REOPEN_S = 1.0
 _MAX_WAITING = 256
 _PART_BYTES = 1 << 20
 _THREADS = 4
-_TRAIN_ON = "`freerein runs resume ID --iterations N` trains a ppo run on, as a new run with `resume_from`."
+_TRAIN_ON = "`freerein jobs resume ID --iterations N` trains a ppo run on, as a new run with `resume_from`."
 
 T = TypeVar("T")
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from freerein import wire
-from freerein.cli.commands.runs import whole_run
+from freerein.cli.commands.jobs import find
 from freerein.cli.connection import call, call_each, check_all_answer, check_only_unavailable
 from freerein.cli.output import AsJson, command, print_json
 from freerein.cli.tables import show_all
@@ -17,7 +17,7 @@ from freerein.jobs import wall_clock
 from freerein.types.imitation import PublishPolicyRequest
 from freerein.types.learning import ActivateModelRequest, DeleteModelRequest, ListModelsRequest, Model
 
-_LEARNED = ("segmentation", "imitation", "reward")
+_LEARNED = dict.fromkeys(("segmentation", "imitation", "reward"), ModelClient)
 _FINGERPRINT_DIGITS = 12
 
 _Owner = Annotated[str, typer.Option(help="The service that owns the model; the one that has it when empty.")]
@@ -36,8 +36,8 @@ def list_models(
     as_json: AsJson = False,
 ) -> None:
     """List every version of every model, newest first within a name."""
-    asked = [service] if service else _LEARNED
-    answers, errors = call_each(ModelClient, asked, lambda client: client.list_models(ListModelsRequest()))
+    asked = {service: ModelClient} if service else _LEARNED
+    answers, errors = call_each(asked, lambda client: client.list_models(ListModelsRequest()))
     check_only_unavailable(errors)
     _show([(name, model) for name, answer in answers.items() for model in answer.models], as_json=as_json)
 
@@ -86,7 +86,7 @@ def publish(
     as_json: AsJson = False,
 ) -> None:
     """Serve the policy of a ppo run by name, beside the other models of the imitation service."""
-    request = PublishPolicyRequest(whole_run(run), name)
+    request = PublishPolicyRequest(find(run, "orchestrator")[1], name)
     ref = call(ImitationClient, "imitation", lambda client: client.publish_policy(request)).model
     found = call(ModelClient, "imitation", lambda client: client.list_models(ListModelsRequest())).models
     _show([("imitation", model) for model in found if model.ref == ref], as_json=as_json)
@@ -94,7 +94,7 @@ def publish(
 
 def _owner(name: str, version: str) -> str:
     """Returns the one service that has a model; an empty version is any."""
-    answers, errors = call_each(ModelClient, _LEARNED, lambda client: client.list_models(ListModelsRequest()))
+    answers, errors = call_each(_LEARNED, lambda client: client.list_models(ListModelsRequest()))
     wanted = (name, version) if version else (name,)
     owners = [
         service

@@ -2,10 +2,9 @@
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import aclosing, contextmanager, suppress
 from datetime import datetime
-from typing import TypeVar
 
 import typer
 from rich.console import Console, Group, RenderableType
@@ -17,19 +16,14 @@ from rich.text import Text
 from freerein import wire
 from freerein.cli.connection import connect
 from freerein.cli.jobs.ids import short
+from freerein.cli.jobs.job_calls import CLIENTS, follow, metric_rows, noun_of
 from freerein.cli.jobs.progress import Job, JobProgress, by_relevance, metrics_text, steps_text
 from freerein.cli.jobs.terminal_plot import plot
 from freerein.cli.output import print_json
 from freerein.cli.tables import show_all
 from freerein.cli.times import duration
-from freerein.clients.rpc import Client
 from freerein.errors import FailedPrecondition, Unavailable
 from freerein.types.jobs import MetricRow
-from freerein.types.learning import Fit
-from freerein.types.orchestrator import Run
-
-C = TypeVar("C", bound=Client)
-J = TypeVar("J", Fit, Run)
 
 INTERRUPTED = 130
 """The exit code after Ctrl-C."""
@@ -40,45 +34,32 @@ _MIN_WIDTH, _MAX_WIDTH, _SPAN_WIDTH = 10, 60, 24
 _COLOURS = {"running": "cyan", "succeeded": "green", "failed": "red", "cancelled": "yellow"}
 
 
-def watch(
-    client: type[C],
-    service: str,
-    changes: Callable[[C], AsyncGenerator[J, None]],
-    history: Callable[[C], Awaitable[Sequence[MetricRow]]],
-    *,
-    name: str,
-    command: str,
-    as_json: bool,
-    metrics: Sequence[str] | None = None,
-) -> J:
+def watch(service: str, job_id: str, *, as_json: bool, metrics: Sequence[str] | None = None) -> Job:
     """Shows a fit or run until it ends; returns its last state. Ctrl-C ends the program, not the fit or run.
 
     Args:
-        client: Client of its service.
-        service: The service.
-        changes: Yields its state after each change.
-        history: Returns its metrics so far.
-        name: What it is called.
-        command: The command that watches it again.
+        service: Its service.
+        job_id: Its id.
         as_json: Whether each change is printed as a JSON document.
         metrics: Names of the metrics to draw; None for the most relevant ones.
     """
+    name = f"{noun_of(service)} {short(job_id)}"
 
-    async def follow() -> J:
+    async def show_all_changes() -> Job:
         progress = JobProgress()
         with _display(name, progress, metrics, as_json=as_json) as show:
-            async with connect(client, service) as connected, aclosing(changes(connected)) as jobs:
-                with suppress(Unavailable):  # `changes` waits for a service that restarts
-                    progress.add_rows(await history(connected))
+            async with connect(CLIENTS[service], service) as client, aclosing(follow(client, job_id)) as jobs:
+                with suppress(Unavailable):  # `follow` waits for a service that restarts
+                    progress.add_rows(await metric_rows(client, job_id))
                 async for job in jobs:
                     progress.add(job, at_s=time.monotonic())
                     show(job)
         return job
 
     try:
-        last = asyncio.run(follow())
+        last = asyncio.run(show_all_changes())
     except KeyboardInterrupt:
-        typer.echo(f"The {name} continues; `{command}` watches it again.", err=True)
+        typer.echo(f"The {name} continues; `freerein jobs watch {short(job_id)}` watches it again.", err=True)
         raise typer.Exit(INTERRUPTED) from None
     check_succeeded(name, last)
     return last
@@ -88,9 +69,10 @@ def check_succeeded(name: str, job: Job) -> None:
     """Raises FailedPrecondition when a job that has ended did not succeed."""
     if job.state != "succeeded":
         sentence = f"The {name} must succeed; its state is {job.state}. {job.error}".rstrip()
-        resume = f"freerein {'fit' if isinstance(job, Fit) else 'runs'} resume {short(job.id)}"
         raise FailedPrecondition(
-            sentence, hint=f"Its log.txt in the data directory says more; `{resume}` goes on from its last checkpoint."
+            sentence,
+            hint="Its log.txt in the data directory says more; "
+            f"`freerein jobs resume {short(job.id)}` goes on from its last checkpoint.",
         )
 
 

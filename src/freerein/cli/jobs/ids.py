@@ -1,7 +1,7 @@
 """Ids of runs and fits, which people shorten as the command line does."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 from freerein.errors import InvalidInput
 
@@ -18,17 +18,19 @@ def is_whole_id(given: str) -> bool:
     return re.fullmatch(rf"[0-9a-f]{{{_ID_DIGITS}}}", given) is not None
 
 
-def whole_id(given: str, ids: Sequence[str], *, list_command: str) -> str:
-    """Returns the one id that begins with the digits given, or with those at the end of a readable name.
-
-    Raises InvalidInput where none or several do.
-    """
+def matching(given: str, ids: Iterable[str]) -> list[str]:
+    """Returns the ids that begin with these digits, or with those that a readable name ends with."""
     digits = given.rpartition("-")[2]
-    found = [each for each in ids if digits and each.startswith(digits)]
+    return [each for each in ids if digits and each.startswith(digits)]
+
+
+def whole_id(given: str, ids: Iterable[str]) -> str:
+    """Returns the id that is meant by first digits or a readable name; raises InvalidInput for none, or several."""
+    found = matching(given, ids)
     if len(found) != 1:
         raise InvalidInput(
             f"An id of {_ID_DIGITS} digits, or its first ones, must be given; {len(found)} ids begin so.",
             field="id",
-            hint=f"`{list_command}` shows all.",
+            hint="`freerein jobs list` shows all.",
         )
     return found[0]

@@ -19,21 +19,22 @@ def say_next_steps(commands: Sequence[str]) -> None:
     typer.echo("\n".join(["What next:", *(f"  {command}" for command in commands)]), err=True)
 
 
-def after_fit(service: str, fit: Fit) -> list[str]:
-    """Returns commands for a fit's model."""
-    return _with_model(service, fit.model or ModelRef(fit.model_name), fit.dataset, fit.config)
+def next_steps(service: str, job: Fit | Run) -> list[str]:
+    """Returns commands for what a job of a service has made."""
+    if isinstance(job, Run):
+        return _after_run(job)
+    return _with_model(service, job.model or ModelRef(job.model_name), job.dataset, job.config)
 
 
-def after_run(run: Run) -> list[str]:
-    """Returns commands for what a run has made."""
+def _after_run(run: Run) -> list[str]:
     config, run_id = run.config, short(run.id)
     match run.kind:
         case "ppo":
             return [
                 _evaluate(str(config["task"]), f'{{"run": "{run_id}"}}'),
-                f"freerein runs resume {run_id} --iterations {config['iterations']} --watch  # trains it on",
+                f"freerein jobs resume {run_id} --iterations {config['iterations']} --watch  # trains it on",
                 f"freerein models publish {run_id} --name NAME  # serves it by name",
-                f"freerein runs artifacts {run_id} policy.mp4  # shows what it does",
+                f"freerein jobs artifacts {run_id} policy.mp4  # shows what it does",
             ]
         case "collect":
             name = config["dataset"]
@@ -46,7 +47,7 @@ def after_run(run: Run) -> list[str]:
         case "distill":
             return [f"freerein act --model {config['model_name']} --image IMAGE.png --goal-text 'TEXT'"]
         case _:
-            return [f"freerein runs artifacts {run_id}  # what it has made"]
+            return [f"freerein jobs artifacts {run_id}  # what it has made"]
 
 
 def _with_model(service: str, model: ModelRef, dataset: str, config: Mapping[str, Any]) -> list[str]:
@@ -54,7 +55,7 @@ def _with_model(service: str, model: ModelRef, dataset: str, config: Mapping[str
         case "segmentation":
             return [
                 f"freerein segment {dataset} --model {model.name}",
-                f"freerein runs start label --set dataset={dataset} --set model={model.name} --watch  # all of it",
+                f"freerein run label --set dataset={dataset} --set model={model.name} --watch  # all of it",
             ]
         case "imitation":
             goal = _GOALS.get(str(config.get("method")), "--goal GOAL.png")
@@ -62,9 +63,9 @@ def _with_model(service: str, model: ModelRef, dataset: str, config: Mapping[str
         case _:
             return [
                 f"freerein reward IMAGE.png --goal 'TEXT' --model {model.name}",
-                f"freerein runs start ppo --set task=TASK --set reward_model={model.name} --watch  # learns from it",
+                f"freerein run ppo --set task=TASK --set reward_model={model.name} --watch  # learns from it",
             ]
 
 
 def _evaluate(task: str, policy: str) -> str:
-    return f"freerein runs start evaluate --set task={task} --set 'policy={policy}' --watch"
+    return f"freerein run evaluate --set task={task} --set 'policy={policy}' --watch"
