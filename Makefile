@@ -37,7 +37,7 @@ test-long: dev ## Run the tests that take long by nature; commit tests/long-test
 	$(BIN)/pytest $(PARALLEL) -m long
 	tools/long-tests passed
 
-bench: dev ## Compare speed with that of peers
+bench: dev ## Compare the speed of services with that of what they serve
 	$(BIN)/python -m benchmarks
 
 tables: dev ## Make the tables of all experiments from the committed results

@@ -8,9 +8,7 @@ from collections.abc import Sequence
 from ctypes.util import find_library
 from pathlib import Path
 
-_BENCHMARKS = ("render", "sim", "envs", "segment", "batcher", "act", "peers", "control", "reward", "ppo")
-_ON_REQUEST = ("training",)
-"""Not run by default: half an hour on two cores."""
+_BENCHMARKS = ("sim", "envs", "segment", "act", "control", "reward", "ppo")
 
 _ENVIRON = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0"}
 """Threads of BLAS and torch, and of Mesa, where 0 means the calling thread only, as in the sim service's workers."""
@@ -43,11 +41,9 @@ async def _run(names: Sequence[str], *, quick: bool, out: Path) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Compare freerein with its peers.")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Compare services with what they serve.")
     parser.add_argument("--quick", action="store_true", help="run everything once; figures are meaningless")
-    parser.add_argument(
-        "--only", nargs="+", choices=_BENCHMARKS + _ON_REQUEST, default=_BENCHMARKS, help="which benchmarks to run"
-    )
+    parser.add_argument("--only", nargs="+", choices=_BENCHMARKS, default=_BENCHMARKS, help="which benchmarks to run")
     parser.add_argument("--out", type=Path, default=_OUT, help="file of the summary")
     return parser
 

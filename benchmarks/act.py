@@ -1,24 +1,20 @@
-"""Latency of one action through each interface of the imitation service, beside the bare model and bare transports.
+"""Latency of one action through each interface of the imitation service, beside the bare model and a bare server.
 
 One robot sends one observation after the other, each a raw image. `control` and `grpc` are calls of the Python client
 from arrays to arrays, `json` is a REST call from a prepared body to the parsed reply, and `control-bytes` is the stream
-of `control` with prepared messages and replies left undecoded. The baselines also use prepared messages:
+of `control` with prepared messages and replies left undecoded. The baselines:
 
-    torch           the model call in process, as the service's core makes it
-    bare-stream     a bare gRPC stream with the same image one way and as many bytes as a reply the other way
-    bare-websocket  a bare websocket with msgpack that carries the same
-    bare-policy     a bare gRPC stream whose server makes the model call on its event loop, blocking other clients
-    bare-threaded   the same with the model call on a thread
+    torch          the model call in process, as the service's core makes it
+    bare-policy    a bare gRPC stream, also with prepared messages, whose server makes the model call and no more
 
 The overhead of an interface over the model call is relative to that of `bare-policy`:
 (interface - torch) / (bare-policy - torch).
 """
 
-import asyncio
 import base64
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import AsyncExitStack
-from itertools import count, repeat
+from itertools import count
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -28,8 +24,7 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
-from benchmarks.bare_policy import SEQ_BYTES
-from benchmarks.bare_transport import STREAM, grpc_stream, websocket
+from benchmarks.bare_policy import SEQ_BYTES, STREAM, grpc_stream
 from benchmarks.imitation_robot import CONTROL, NEVER_STEPS, Observe, Scene, control_stream, publish_scene
 from benchmarks.report import Ratio, Results
 from benchmarks.servers import rest_call, rest_client, run_server, run_service
@@ -41,7 +36,7 @@ from freerein_imitation.methods import METHODS
 
 _SIDES_PX = (64, 224)
 _INTERFACES = ("control-bytes", "control", "grpc", "json")
-_LIMITS = {("control-bytes", "policy"): 1.5}
+_LIMITS = {"control-bytes": 1.5}
 _TOLERANCE = 1e-5
 
 Actions: TypeAlias = npt.NDArray[np.float32]
@@ -71,18 +66,13 @@ async def _measure(scene: Scene, address: str, url: str, effort: Effort) -> Resu
             return actions
 
         json = rest_call(rest, "/v1/act", orjson.dumps(wire.to_json(request)), _parse_actions)
-        decoded: dict[str, Act] = {"torch": torch_call(scene), "grpc": grpc, "json": json}
+        decoded: dict[str, Act] = {"torch": _torch_call(scene), "grpc": grpc, "json": json}
         await _check_same_actions(decoded, observe)
-        bare = await _open_bare(opened, scene, address, reply_bytes=wire.pack(await observe()).ByteSize())
+        bare = await _open_bare(opened, scene, address)
         times = await measure_latencies({"control": observe, **decoded, **bare}, effort)
     case = scene.ref.name
     overheads = (
-        Ratio(
-            f"act.{each}_adds_vs_bare_{bare}.{case}",
-            _overhead(times, each, f"bare-{bare}"),
-            at_most=_LIMITS.get((each, bare)),
-        )
-        for bare in ("policy", "threaded")
+        Ratio(f"act.{each}_adds_vs_bare_policy.{case}", _overhead(times, each), at_most=_LIMITS.get(each))
         for each in _INTERFACES
     )
     totals = (
@@ -92,20 +82,14 @@ async def _measure(scene: Scene, address: str, url: str, effort: Effort) -> Resu
     return Results(ratios=(*overheads, *totals), latencies={f"act.{case}": times})
 
 
-async def _open_bare(opened: AsyncExitStack, scene: Scene, address: str, *, reply_bytes: int) -> dict[str, Call]:
-    """Returns the calls of bare clients, to the service and to bare servers, open as long as the stack is."""
-    frame, goal, size, model = scene.frame.tobytes(), scene.goal.tobytes(), str(reply_bytes), str(scene.folder)
-    servers = {kind: run_server("benchmarks.bare_transport", kind, size) for kind in ("stream", "websocket")}
-    servers |= {kind: run_server("benchmarks.bare_policy", kind, model) for kind in ("policy", "threaded")}
-    ports = await asyncio.gather(*map(opened.enter_async_context, servers.values()))
-    at = {kind: f"127.0.0.1:{port}" for kind, port in zip(servers, ports, strict=True)}
+async def _open_bare(opened: AsyncExitStack, scene: Scene, address: str) -> dict[str, Call]:
+    """Returns the calls of bare clients, to the service and to the bare server, open as long as the stack is."""
+    port = await opened.enter_async_context(run_server("benchmarks.bare_policy", str(scene.folder)))
     observations, hello = scene.observed_bytes(), scene.hello_bytes()
+    frames, goal = _numbered(scene.frame.tobytes()), scene.goal.tobytes()
     calls = {
         "control-bytes": grpc_stream(address, CONTROL, observations, first=hello, first_is_answered=True),
-        "bare-policy": grpc_stream(at["policy"], STREAM, _numbered(frame), first=goal),
-        "bare-threaded": grpc_stream(at["threaded"], STREAM, _numbered(frame), first=goal),
-        "bare-stream": grpc_stream(at["stream"], STREAM, repeat(frame)),
-        "bare-websocket": websocket(f"ws://{at['websocket']}", frame),
+        "bare-policy": grpc_stream(f"127.0.0.1:{port}", STREAM, frames, first=goal),
     }
     return {name: await opened.enter_async_context(call) for name, call in calls.items()}
 
@@ -114,10 +98,10 @@ def _numbered(frame: bytes) -> Iterator[bytes]:
     return (seq.to_bytes(SEQ_BYTES, "little") + frame for seq in count())
 
 
-def _overhead(times: Latencies, interface: str, bare: str) -> float:
-    """Returns the overhead of an interface over that of a bare server: the median of the rounds' p50 ratios."""
-    ours, torch, theirs = (times.quantiles(each, 0.5) for each in (interface, "torch", bare))
-    return median((our - call) / (their - call) for our, call, their in zip(ours, torch, theirs, strict=True))
+def _overhead(times: Latencies, interface: str) -> float:
+    """Returns the overhead of an interface over that of the bare server: the median of the rounds' p50 ratios."""
+    ours, torch, bare = (times.quantiles(each, 0.5) for each in (interface, "torch", "bare-policy"))
+    return median((our - call) / (their - call) for our, call, their in zip(ours, torch, bare, strict=True))
 
 
 async def _check_same_actions(interfaces: dict[str, Act], observe: Observe) -> None:
@@ -128,7 +112,7 @@ async def _check_same_actions(interfaces: dict[str, Act], observe: Observe) -> N
             raise RuntimeError(f"All interfaces must return the same actions; {name} and the stream differ.")
 
 
-def torch_call(scene: Scene) -> Act:
+def _torch_call(scene: Scene) -> Act:
     """Returns the model call as the service's core makes it, with the memory passed on."""
     policy = METHODS.load(scene.folder, "cpu")
     (camera,) = policy.spec.cameras

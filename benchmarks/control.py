@@ -17,8 +17,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks import load_generator
-from benchmarks.bare_policy import SEQ_BYTES
-from benchmarks.bare_transport import STREAM
+from benchmarks.bare_policy import SEQ_BYTES, STREAM
 from benchmarks.imitation_robot import CONTROL, Scene, control_stream, publish_scene
 from benchmarks.load_generator import Load, LoadResult
 from benchmarks.report import Ratio, Results
@@ -84,7 +83,7 @@ async def _measure_load(effort: Effort) -> Results:
         folder = Path(opened.enter_context(TemporaryDirectory()))
         scene = publish_scene(_SIDE_PX, folder)
         stack = await opened.enter_async_context(run_service("imitation", data_dir=folder))
-        port = await opened.enter_async_context(run_server("benchmarks.bare_policy", "policy", str(scene.folder)))
+        port = await opened.enter_async_context(run_server("benchmarks.bare_policy", str(scene.folder)))
         for rate_hz in _RATES_HZ:
             count = max(1, round(rate_hz * effort.load_s))
             observations = list(islice(scene.observed_bytes(), count))

@@ -1,4 +1,4 @@
-"""Control ticks per second of PPO over the network, beside the same PPO in one process, and with two sims beside one.
+"""Control ticks per second of PPO over the network, beside the same PPO in one process.
 
 One more training holds each action for two ticks, as PPO does unless told otherwise; the others hold none.
 
@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AsyncExitStack, closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -30,15 +31,17 @@ from freerein.types.common import Camera, ModelRef
 from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator.envs.recovery import RecoveringCollector
 from freerein_orchestrator.envs.retry import Retry
-from freerein_orchestrator.envs.reward_fns import Frames, LearnedReward, RewardFn, zero_reward
-from freerein_orchestrator.envs.vector_env import FRAMES_PER_REWARD_CALL, RemoteVectorEnv, open_groups
+from freerein_orchestrator.envs.vector_env import FRAMES_PER_REWARD_CALL, RemoteVectorEnv, RewardFn, open_groups
+from freerein_orchestrator.rewards.learned import LearnedReward
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups, collect_groups
-from freerein_orchestrator.rl.object_encoder import load_object_encoder
+from freerein_orchestrator.rl.goal_eye import fit_eye, load_object_encoder
+from freerein_orchestrator.rl.initial_network import network_spec
+from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.rollout import Collector, CollectorState, RolloutBuffer
-from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec, to_checkpoint
+from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, to_checkpoint
 from freerein_orchestrator.rl.trainer import Trainer
-from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecStep
+from freerein_orchestrator.rl.vec_env import Actions, Frames, Observations, Rewards, VecStep
 from freerein_reward.core import GoalCache, Inference, RewardModel
 from freerein_reward.core.inference import ScoreItem, Scores
 from freerein_reward.methods import load
@@ -60,29 +63,26 @@ async def measure(effort: Effort) -> Results:
     """Returns the relative speed of PPO over the network and in process."""
     async with AsyncExitStack() as opened:
         folder = Path(opened.enter_context(TemporaryDirectory()))
-        sims: list[SyncClient] = []
-        for name in ("one", "two"):
-            stack = await opened.enter_async_context(
-                run_service("sim", data_dir=folder / name, FREEREIN_SIM_WORKERS="1")
-            )
-            sims.append(opened.enter_context(SyncClient(SimClient(Channel(stack.addresses["sim"])))))
+        stack = await opened.enter_async_context(run_service("sim", data_dir=folder / "sim", FREEREIN_SIM_WORKERS="1"))
+        sim = opened.enter_context(SyncClient(SimClient(Channel(stack.addresses["sim"]))))
         stack = await opened.enter_async_context(run_service("reward", data_dir=folder / "reward"))
         reward = opened.enter_context(SyncClient(RewardClient(Channel(stack.addresses["reward"]))))
-        return await _measure(sims, reward, replace(effort, rounds=min(effort.rounds, _ROUNDS)))
+        return await _measure(sim, reward, replace(effort, rounds=min(effort.rounds, _ROUNDS)))
 
 
-async def _measure(sims: Sequence[SyncClient], reward: SyncClient, effort: Effort) -> Results:
+async def _measure(sim: SyncClient, reward: SyncClient, effort: Effort) -> Results:
     config = PPOConfig(
         iterations=effort.iterations,
         num_steps=effort.num_steps,
         batch_size=_MINIBATCH_ENVS * effort.num_steps,
         explorations=1,
     )
-    one, two = [await asyncio.to_thread(_Served.init, config, sims[:count], reward) for count in (1, 2)]
-    held = await asyncio.to_thread(_Served.init, config, sims[:1], reward, action_repeat=_HELD)
+    one, held = [
+        await asyncio.to_thread(_Served.init, config, sim, reward, action_repeat=count) for count in (1, _HELD)
+    ]
     local = _Local(config, one.start)
     try:
-        trainings = {"in-process": local.train, "one-sim": one.train, "two-sims": two.train, "held": held.train}
+        trainings = {"in-process": local.train, "one-sim": one.train, "held": held.train}
         ends: dict[str, str] = {}
         steps = config.iterations * config.rollout_size
         ticks = {name: steps * (_HELD if name == "held" else 1) for name in trainings}
@@ -94,10 +94,7 @@ async def _measure(sims: Sequence[SyncClient], reward: SyncClient, effort: Effor
     if ends["in-process"] != ends["one-sim"]:
         raise RuntimeError("Over the network and in process the final weights must be equal; they differ.")
     return Results(
-        ratios=(
-            Ratio("ppo.network_vs_in_process", times.speedup("one-sim", over="in-process"), at_least=0.8),
-            Ratio("ppo.two_sims_vs_one", times.speedup("two-sims", over="one-sim")),
-        ),
+        ratios=(Ratio("ppo.network_vs_in_process", times.speedup("one-sim", over="in-process"), at_least=0.8),),
         rates={"ppo": times},
     )
 
@@ -139,15 +136,13 @@ class _Served:
     """Trains with services."""
 
     config: PPOConfig
-    sims: Sequence[SyncClient]
+    sim: SyncClient
     reward: SyncClient
     start: Checkpoint
     action_repeat: int
 
     @classmethod
-    def init(
-        cls, config: PPOConfig, sims: Sequence[SyncClient], reward: SyncClient, *, action_repeat: int = 1
-    ) -> "_Served":
+    def init(cls, config: PPOConfig, sim: SyncClient, reward: SyncClient, *, action_repeat: int) -> "_Served":
         task, camera = tasks()[_TASK], Camera(_CAMERA, *_FRAME)
         encoder = load_object_encoder(_reward_folder(), goal_caption=task.goal_text, camera=camera)
         spec = network_spec(
@@ -157,15 +152,21 @@ class _Served:
             eye=encoder.spec,
             action_repeat=action_repeat,
         )
-        with closing(_open(config, sims, zero_reward, (), action_repeat)) as envs:
-            state: PPOState = init_state(config, spec, envs, device=_CPU, object_encoder=encoder.weights)
-        return cls(config, sims, reward, to_checkpoint(state), action_repeat)
+        with closing(_open(config, sim, Reward().of_frames, (), action_repeat)) as envs:
+            state: PPOState = init_state(
+                config,
+                spec,
+                envs,
+                device=_CPU,
+                prepare=partial(fit_eye, objects=encoder.weights, explorations=config.explorations),
+            )
+        return cls(config, sim, reward, to_checkpoint(state), action_repeat)
 
     def train(self) -> str:
         retry = Retry(np.random.default_rng(), stop=lambda: False, tell=lambda _: None)
-        reward_fn = LearnedReward(self.reward, tasks()[_TASK].goal_text, _CAMERA)
+        reward_fn = LearnedReward(self.reward, tasks()[_TASK].goal_text, _CAMERA).of_frames
         collector = RecoveringCollector(
-            lambda snapshots: _open(self.config, self.sims, reward_fn, snapshots, self.action_repeat),
+            lambda snapshots: _open(self.config, self.sim, reward_fn, snapshots, self.action_repeat),
             num_steps=self.config.num_steps,
             retry=retry,
         )
@@ -174,14 +175,14 @@ class _Served:
 
 def _open(
     config: PPOConfig,
-    sims: Sequence[SyncClient],
+    sim: SyncClient,
     reward_fn: RewardFn,
     snapshots: Sequence[bytes],
     action_repeat: int,
 ) -> EnvGroups[RemoteVectorEnv]:
     request = CreateSessionRequest(_TASK, num_envs=config.num_envs, seed=0)
     return open_groups(
-        sims, request, camera=_CAMERA, reward_fn=reward_fn, action_repeat=action_repeat, snapshots=snapshots
+        [sim], request, camera=_CAMERA, reward_fn=reward_fn, action_repeat=action_repeat, snapshots=snapshots
     )
 
 

@@ -1,4 +1,4 @@
-"""Gain of the reward service's goal cache, and of many images per call.
+"""Gain of many images per call of the reward service.
 
 The model is untrained. Its own call is timed as the service's core makes it, gRPC calls from arrays to arrays, and REST
 calls from a prepared body to the parsed reply. All frames are raw.
@@ -7,7 +7,6 @@ calls from a prepared body to the parsed reply. All frames are raw.
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from functools import partial
-from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
@@ -19,22 +18,19 @@ import orjson
 
 from benchmarks.report import Ratio, Results
 from benchmarks.servers import rest_call, rest_client, run_service
-from benchmarks.timing import Call, Effort, Workload, measure_latencies, measure_rates, repeat, repeat_function
+from benchmarks.timing import Effort, Workload, measure_rates, repeat, repeat_function
 from benchmarks.untrained import initialise, publish
 from freerein import wire
 from freerein.clients import Channel, RewardClient
-from freerein.types.common import ModelRef
-from freerein.types.reward import EmbedGoalRequest, RewardRequest
+from freerein.types.reward import RewardRequest
 from freerein_reward import model as reward_model
-from freerein_reward.core import GoalCache, Inference, RewardModel
-from freerein_reward.core.inference import ScoreItem
+from freerein_reward.core import RewardModel
 from freerein_reward.model import DualEncoder, DualEncoderSpec
 from freerein_reward.training import GroundingConfig, RewardConfig, network_spec, synthetic_objects
 
 _CAMERA, _GOAL = "front", "a red block on top of a yellow block"
 _PHRASES = ("a red block", "a green block", "a yellow block", "a blue block")
 _MANY = 32
-_CACHE_BYTES = 16 * 2**20
 _TOLERANCE = 1e-5
 
 Similarities: TypeAlias = npt.NDArray[np.float32]
@@ -42,42 +38,15 @@ Reward: TypeAlias = Callable[[], Awaitable[Similarities]]
 
 
 async def measure(effort: Effort) -> Results:
-    """Returns the cost of a cached goal text, and the gain in images per second of many images per call."""
+    """Returns the gain in images per second of many images per call."""
     async with AsyncExitStack() as opened:
         folder = Path(opened.enter_context(TemporaryDirectory()))
-        ref, model, side_px = _publish(folder)
+        model, side_px = _publish(folder)
         no_others = {"FREEREIN_SHIPPED_DIR": str(folder / "none")}
         stack = await opened.enter_async_context(run_service("reward", data_dir=folder, **no_others))
         rest = await opened.enter_async_context(rest_client(stack.urls["reward"]))
         client = await opened.enter_async_context(RewardClient(Channel(stack.addresses["reward"])))
-        goals = await _measure_goals(ref, model, client, effort)
-        return goals + await _measure_images(model, side_px, client, rest, effort)
-
-
-async def _measure_goals(ref: ModelRef, model: RewardModel, client: RewardClient, effort: Effort) -> Results:
-    inference, numbers = Inference(GoalCache(_CACHE_BYTES)), count()
-
-    async def in_process(text: str) -> None:
-        inference.run([ScoreItem(ref, model, (text,))])
-
-    async def grpc(text: str) -> None:
-        await client.embed_goal(EmbedGoalRequest(text))
-
-    calls: dict[str, Call] = {
-        "model-cached": lambda: in_process(_GOAL),
-        "model-uncached": lambda: in_process(f"{_GOAL} {next(numbers)}"),
-        "grpc-cached": lambda: grpc(_GOAL),
-        "grpc-uncached": lambda: grpc(f"{_GOAL} {next(numbers)}"),
-    }
-    times = await measure_latencies(calls, effort)
-    costs = {where: times.ratio(f"{where}-cached", over=f"{where}-uncached", share=0.5) for where in ("model", "grpc")}
-    return Results(
-        ratios=(
-            Ratio("reward.goal_cached_vs_uncached.grpc", costs["grpc"], at_most=0.5),
-            Ratio("reward.goal_cached_vs_uncached.model", costs["model"]),
-        ),
-        latencies={"reward.embed-goal": times},
-    )
+        return await _measure_images(model, side_px, client, rest, effort)
 
 
 async def _measure_images(
@@ -126,7 +95,7 @@ def _similarities(reply: Any) -> Similarities:
     return np.array(reply["similarities"], np.float32)
 
 
-def _publish(data_dir: Path) -> tuple[ModelRef, RewardModel, int]:
+def _publish(data_dir: Path) -> tuple[RewardModel, int]:
     """Publishes an untrained model of a fit's default size; returns it and the side of its images, in pixels."""
     tower = GroundingConfig()
     grounding = DualEncoderSpec(
@@ -139,5 +108,5 @@ def _publish(data_dir: Path) -> tuple[ModelRef, RewardModel, int]:
     spec = network_spec(grounding, RewardConfig(cameras=(_CAMERA,), phrases=_PHRASES))
     network = DualEncoder(spec)
     initialise(network)
-    ref = publish(network, data_dir, "reward", name="", card={"method": "relation_captions"})
-    return ref, reward_model.DualEncoderModel(network), spec.image_size
+    publish(network, data_dir, "reward", name="", card={"method": "relation_captions"})
+    return reward_model.DualEncoderModel(network), spec.image_size

@@ -4,7 +4,7 @@ import asyncio
 import os
 import sys
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import aclosing, asynccontextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -68,14 +68,13 @@ async def exchange(
         while True:
             yield await requests.get()
 
-    replies = connect(sent())
+    async with aclosing(connect(sent())) as replies:
 
-    async def ask(request: Sent) -> T:
-        requests.put_nowait(request)
-        return await anext(replies)
+        async def ask(request: Sent) -> T:
+            requests.put_nowait(request)
+            return await anext(replies)
 
-    yield ask
-    await replies.aclose()
+        yield ask
 
 
 def rest_client(url: str) -> httpx.AsyncClient:

@@ -11,15 +11,6 @@ _RESET = struct.pack("ii", 1, 0)  # close with RST, not FIN
 _BLOCK = 1 << 16
 
 
-async def reset_after(url: str, request: bytes, delay_s: float) -> None:
-    """Sends bytes to a REST API and resets the connection after a delay, whatever has come back."""
-    host, _, port = url.removeprefix("http://").rpartition(":")
-    _, writer = await asyncio.open_connection(host, int(port))
-    writer.write(request)
-    await asyncio.sleep(delay_s)
-    _reset(writer)
-
-
 @asynccontextmanager
 async def dying_connection(address: str) -> AsyncIterator[str]:
     """Yields an address that leads to another; at the end of the block all its connections are reset."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from random import Random
 
 from soak import misuse
-from soak.doors import all_doors
 from soak.questions import Answer, Question, Services, all_questions, check
 from soak.sequences import all_sequences
 
@@ -43,7 +42,7 @@ class Load:
 
     async def learn_answers(self) -> None:
         """Asks every question once, alone."""
-        for questions, answers in ((all_questions(), self._plain), ((*all_sequences(), *all_doors()), self._sequences)):
+        for questions, answers in ((all_questions(), self._plain), (all_sequences(), self._sequences)):
             for question in questions:
                 answers[question] = await question(self._services, _ANSWER_S)
 
@@ -80,7 +79,7 @@ class Load:
             case "tiny deadlines":
                 ill_behaved = misuse.hurry(self._plain)
             case _:
-                ill_behaved = self._rng.choice(misuse.BROKEN)
+                ill_behaved = misuse.break_rules
         return lambda: ill_behaved(self._services, self._rng)
 
     async def _ask(self, known: dict[Question, Answer]) -> None:

@@ -1,24 +1,34 @@
-"""Sequences of calls that belong together: sessions of the sim service, control streams, watched runs."""
+"""Sequences of calls that belong together: sessions, streams, a robot on a WebSocket, a video, a watched run."""
 
 import asyncio
-from collections.abc import AsyncGenerator, AsyncIterator, Sequence
+import io
+from collections.abc import AsyncIterator
 from contextlib import aclosing
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
+from benchmarks.servers import exchange
+from websockets.asyncio.client import connect
 
-from freerein.types.imitation import ControlRequest, ControlResponse, Hello, Observed
+from freerein.types.imitation import ControlRequest, Hello, Observed
 from freerein.types.orchestrator import WatchRunRequest
+from freerein.types.segmentation import SegmentHello, SegmentRequest, SegmentStreamRequest, Timesteps
 from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, ResetRequest, StepRequest
-from soak.questions import Answer, Question, Services, WrongAnswer
+from freerein_imitation.openpi.messages import pack, unpack
+from soak.questions import Answer, Question, Services, WrongAnswer, trajectory
 
-_OF_EACH_KIND = 8
 _LEASE_S = 5.0
+_turns = asyncio.Lock()
 
 
 def all_sequences() -> list[Question]:
     """Returns the sequences; each is answered by what all its calls are answered."""
-    return [partial(kind, seed=seed) for kind in (session, control) for seed in range(_OF_EACH_KIND)] + [watch]
+    often = [partial(kind, seed=seed) for kind in (session, control) for seed in range(8)]
+    return [
+        *often,
+        *(partial(kind, seed=seed) for kind in (websocket, label_stream, video) for seed in range(4)),
+        watch,
+    ]
 
 
 async def open_session(services: Services, seed: int) -> str:
@@ -41,12 +51,18 @@ async def session(services: Services, timeout_s: float, seed: int) -> Answer:
 
 async def control(services: Services, timeout_s: float, seed: int) -> Answer:
     """Sends observations on a control stream, each after the answer to the one before; returns the actions."""
-    messages = [hello(services, seed), *(observed(services, seed, seq) for seq in range(4 + seed))]
-    _, *replies = await converse(services, messages, timeout_s=timeout_s)
-    for reply in replies:
-        if reply.chunk is None:
-            raise WrongAnswer(f"An observation was not answered by a chunk: {reply.error or reply}")
-    return np.concatenate([reply.chunk.actions.ravel() for reply in replies if reply.chunk])
+    spec, actions = services.spec, []
+    goal = services.act_request(seed).goal
+    hello = Hello(goal, spec.cameras, spec.action, spec.control_dt_s, valid_for_s=60)
+    async with exchange(partial(services.imitation.control, timeout_s=timeout_s)) as ask:
+        await ask(ControlRequest(hello=hello))
+        for seq in range(4 + seed):
+            seen = Observed(seq, services.act_request(100 * seed + seq).observation)
+            reply = await ask(ControlRequest(observed=seen))
+            if reply.chunk is None:
+                raise WrongAnswer(f"An observation was not answered by a chunk: {reply.error or reply}")
+            actions.append(reply.chunk.actions.ravel())
+    return np.concatenate(actions)
 
 
 async def watch(services: Services, timeout_s: float) -> Answer:
@@ -55,42 +71,54 @@ async def watch(services: Services, timeout_s: float) -> Answer:
     return np.array([event.sequence async for event in events])
 
 
-def hello(services: Services, seed: int) -> ControlRequest:
-    """Returns the Hello of a robot like the model's."""
-    spec = services.spec
-    return ControlRequest(
-        hello=Hello(services.act_request(seed).goal, spec.cameras, spec.action, spec.control_dt_s, valid_for_s=60)
-    )
+async def websocket(services: Services, timeout_s: float, seed: int) -> Answer:
+    """Sends observations as openpi's client does, each after the answer to the one before; returns the actions."""
+    address, actions = services.urls["imitation"].replace("http", "ws", 1), []
+    async with connect(address, compression=None, open_timeout=timeout_s) as robot:
+        await robot.recv()
+        for seq in range(4 + seed):
+            frame, goal = services.seen(100 * seed + seq), np.zeros_like(services.seen(0))
+            camera = services.spec.cameras[0].name
+            await robot.send(pack({f"observation/{camera}": frame, f"goal/{camera}": goal}))
+            reply = await robot.recv()
+            if isinstance(reply, str):
+                raise WrongAnswer(f"An observation was not answered by actions: {reply}")
+            actions.append(unpack(reply)["actions"].ravel())
+    return np.concatenate(actions)
 
 
-def observed(services: Services, seed: int, seq: int) -> ControlRequest:
-    """Returns an observation."""
-    return ControlRequest(observed=Observed(seq, services.act_request(100 * seed + seq).observation))
+async def label_stream(services: Services, timeout_s: float, seed: int) -> Answer:
+    """Sends a trajectory by two timesteps at a time; returns the labels."""
+    frames, actions = trajectory(seed)
+
+    async def messages() -> AsyncIterator[SegmentStreamRequest]:
+        yield SegmentStreamRequest(hello=SegmentHello())
+        for seq, first in enumerate(range(0, len(frames), 2)):
+            now = slice(first, first + 2)
+            yield SegmentStreamRequest(timesteps=Timesteps(seq, frames[now], actions=actions[now]))
+
+    async with aclosing(services.segmentation.segment_stream(messages(), timeout_s=timeout_s)) as replies:
+        return np.concatenate([reply.labels.labels async for reply in replies if reply.labels])
 
 
-async def converse(
-    services: Services, messages: Sequence[ControlRequest], *, heard: int = 1_000, timeout_s: float = 30.0
-) -> list[ControlResponse]:
-    """Sends messages on a control stream, each after the reply to the one before; leaves after some replies.
+async def video(services: Services, timeout_s: float, seed: int) -> Answer:
+    """Asks for the labels of a video; one client after the other, as a service decodes two at once."""
+    request = SegmentRequest(video=_video(seed), actions=trajectory(seed)[1])
+    async with _turns:
+        return (await services.segmentation.segment(request, timeout_s=timeout_s)).labels
 
-    Returns:
-        The replies.
-    """
-    left, to_send, replies = iter(messages), asyncio.Queue[ControlRequest | None](), list[ControlResponse]()
 
-    async def requests() -> AsyncIterator[ControlRequest]:
-        while (message := await to_send.get()) is not None:
-            yield message
+@cache
+def _video(seed: int) -> bytes:
+    """Returns a trajectory as an mp4 file."""
+    import av
 
-    to_send.put_nowait(next(left))
-    stream: AsyncGenerator[ControlResponse, None] = services.imitation.control(requests(), timeout_s=timeout_s)
-    try:
-        async with aclosing(stream):
-            async for reply in stream:
-                replies.append(reply)
-                to_send.put_nowait(next(left, None))
-                if len(replies) >= heard:
-                    break
-    finally:
-        to_send.put_nowait(None)
-    return replies
+    frames, file = trajectory(seed)[0], io.BytesIO()
+    with av.open(file, "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=10)
+        _, stream.height, stream.width, _ = frames.shape
+        stream.pix_fmt = "yuv444p"
+        for frame in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode(None))
+    return file.getvalue()
