@@ -7,10 +7,11 @@ import numpy.typing as npt
 import pytest
 
 from freerein.errors import FailedPrecondition
-from freerein_sim.worlds.bins import GRIPPER_STEP_M, SPEC, TASKS, initial_states, scene
+from freerein_sim.worlds.bins import TASKS, initial_states, scene
 from freerein_sim.worlds.bins.arm import HOME_RAD, Arm
 from freerein_sim.worlds.bins.layout import FLOOR_M, GROCERIES, LEFT_BIN_HALF_M, LEFT_BIN_M, WALL_TOP_M, Grocery
 from freerein_sim.worlds.bins.simulation import BinsWorld
+from freerein_sim.worlds.bins.spec import GRIPPER_STEP_M, SPEC
 from freerein_sim.worlds.predicates import States
 
 TASK = TASKS[0]

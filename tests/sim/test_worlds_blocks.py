@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from freerein.errors import FailedPrecondition, InvalidInput
-from freerein_sim.worlds.blocks import COLOURS, TASKS, initial_states, scene
+from freerein_sim.worlds.blocks import TASKS, initial_states, scene
 from freerein_sim.worlds.blocks.goals import GOAL_RELATIONS, BlockGoal
 from freerein_sim.worlds.blocks.relations import BLOCK_M, BlockRelation, holds, is_related, is_visible
 from freerein_sim.worlds.blocks.simulation import BlocksWorld
+from freerein_sim.worlds.blocks.spec import COLOURS
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
 from freerein_sim.worlds.varied_world import build

@@ -9,9 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from freerein_sim.worlds.blocks import COLOURS, TASKS, initial_states, scene
+from freerein_sim.worlds.blocks import TASKS, initial_states, scene
 from freerein_sim.worlds.blocks.goals import GOAL_RELATIONS
 from freerein_sim.worlds.blocks.relations import BLOCK_M, holds, is_visible
+from freerein_sim.worlds.blocks.spec import COLOURS
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
 from freerein_sim.worlds.rendering import open_renderer
 from freerein_sim.worlds.world import Frame, World

@@ -19,6 +19,7 @@ from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds import blocks, camera_effects, grid, pendulum
 from freerein_sim.worlds.blocks import scene
 from freerein_sim.worlds.blocks.relations import is_visible
+from freerein_sim.worlds.blocks.spec import COLOURS
 from freerein_sim.worlds.camera_effects import EFFECTS
 from freerein_sim.worlds.grid import GridWorld
 from freerein_sim.worlds.replay import ReplayedWorld
@@ -169,9 +170,9 @@ def test_at_half_the_speed_demonstrations_may_take_twice_as_long_and_sessions_ma
 
 def test_a_recipe_that_names_a_hidden_block_is_refused_and_makes_no_expert() -> None:
     envs = VectorEnv(TASKS["blocks"], num_envs=2, seed=0, privileged=True, conditions=("blocks-2",))
-    states = envs.reset().truth.state[:, 3:].reshape(2, len(blocks.COLOURS), 7)
+    states = envs.reset().truth.state[:, 3:].reshape(2, len(COLOURS), 7)
     shown = [
-        [f"move-{colour}" for colour, pose in zip(blocks.COLOURS, state, strict=True) if is_visible(pose[:3])]
+        [f"move-{colour}" for colour, pose in zip(COLOURS, state, strict=True) if is_visible(pose[:3])]
         for state in states
     ]
     hidden = next(skill for skill in TASKS["blocks"].spec.skills if skill not in shown[1])

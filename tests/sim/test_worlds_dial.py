@@ -7,14 +7,15 @@ import pytest
 
 from freerein import metrics
 from freerein.errors import FailedPrecondition
-from freerein_sim.worlds.dial import RECIPES, SPEC, TASKS, ik, keypad, scene
-from freerein_sim.worlds.dial.predicates import completed
+from freerein_sim.worlds.dial import TASKS, ik, keypad, scene
+from freerein_sim.worlds.dial.predicates import PREDICATES
+from freerein_sim.worlds.dial.spec import RECIPES, SPEC
 from freerein_sim.worlds.episodes import record_episode
 from freerein_sim.worlds.world import World, expert_of
 
 TASK, UNEVEN = TASKS
 STILL = np.zeros(SPEC.action.size, np.float32)
-JUDGES = {predicate.name: predicate for predicate in completed(SPEC)}
+JUDGES = {predicate.name: predicate for predicate in PREDICATES}
 
 
 def begin(seed: int = 0) -> World:

@@ -7,6 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from freerein_sim.worlds import blocks, grid
+from freerein_sim.worlds.blocks.spec import COLOURS
 from freerein_sim.worlds.predicates import StatePredicate
 
 HIDDEN = (-0.9, 0.0, 0.025)
@@ -19,7 +20,7 @@ States = npt.NDArray[np.float64]
 
 def state(*centres: tuple[float, float, float], gripper: tuple[float, float] = (0.1, 0.2)) -> States:
     """Returns the state with the gripper at (y, z) and blocks at (x, y, z); blocks that are left out are hidden."""
-    centres += (HIDDEN,) * (len(blocks.COLOURS) - len(centres))
+    centres += (HIDDEN,) * (len(COLOURS) - len(centres))
     return np.array([*gripper, 0.03, *(number for centre in centres for number in (*centre, 1, 0, 0, 0))])
 
 
@@ -30,7 +31,7 @@ def beside(gripper_y: float, *blocks_y: float) -> States:
 
 def episode(*changes: dict[str, tuple[float, float]]) -> States:
     """Returns states in which blocks stay in a row until they move to (y, z), by colour."""
-    places = {colour: (0.1 * place, ON_TABLE) for place, colour in enumerate(blocks.COLOURS)}
+    places = {colour: (0.1 * place, ON_TABLE) for place, colour in enumerate(COLOURS)}
     found = []
     for change in changes:
         places = {**places, **change}
@@ -45,7 +46,7 @@ def judge(predicate: StatePredicate, states: States, *references: States) -> lis
 
 def test_a_task_names_its_predicates() -> None:
     goal = ["at-landmark", "object-moves", "lifted/move-red", "completed/move-red"]
-    skills = [f"{what}/move-{colour}" for what in ("lifted", "completed") for colour in blocks.COLOURS]
+    skills = [f"{what}/move-{colour}" for what in ("lifted", "completed") for colour in COLOURS]
     assert list(PAIR) == [*goal, "start/in-order"]
     assert list(PREDICATES["blocks.red-on-top-of-green"])[-1] == "start/from-left"
     assert [name for name in BLOCKS if not name.startswith("relation/")] == [*goal[:2], *skills]
@@ -59,7 +60,7 @@ def test_a_task_names_its_predicates() -> None:
 def test_each_ordered_pair_of_blocks_has_a_group_of_five_captions() -> None:
     relations = [each for each in PREDICATES["blocks.scatter"].values() if each.group]
     groups = {group: [each.text for each in members] for group, members in groupby(relations, lambda each: each.group)}
-    assert list(groups) == [f"relation/{first}-{second}" for first, second in permutations(blocks.COLOURS, 2)]
+    assert list(groups) == [f"relation/{first}-{second}" for first, second in permutations(COLOURS, 2)]
     assert groups["relation/blue-green"] == [
         f"a blue block {words} a green block"
         for words in ("to the left of", "to the right of", "on top of", "below", "apart from")

@@ -10,11 +10,13 @@ import pytest
 from freerein.errors import InvalidInput
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
 from freerein_sim.worlds.predicates import States
-from freerein_sim.worlds.tabletop import SPEC, TASKS, ReachThenTask
+from freerein_sim.worlds.tabletop import TASKS
 from freerein_sim.worlds.tabletop.demonstrator import Demonstrator
 from freerein_sim.worlds.tabletop.motions import Movement
 from freerein_sim.worlds.tabletop.predicates import COMPLETED, STATE_NAMES
+from freerein_sim.worlds.tabletop.recipes import ReachThenTask
 from freerein_sim.worlds.tabletop.simulation import TabletopWorld
+from freerein_sim.worlds.tabletop.spec import SPEC
 from freerein_sim.worlds.tabletop.things import SCALED, TASK_SKILLS, THINGS, Thing, thing_of
 from freerein_sim.worlds.world import LabelledAction, ScriptedPolicy, World, expert_of
 
@@ -123,7 +125,7 @@ def test_a_fixed_split_at_the_mean_share_is_right_in_825_of_1000_timesteps_whate
     with closing(begin(0, 0, "pour")) as world:
         assert isinstance(world, TabletopWorld)
         rng = np.random.default_rng(0)
-        drawn = [Demonstrator(world, THINGS[i % len(THINGS)], rng) for i in range(5000)]
+        drawn = [Demonstrator(world, ("reach", THINGS[i % len(THINGS)].task), rng) for i in range(5000)]
     steps, reach_steps = (np.array([getattr(each, name) for each in drawn]) for name in ("steps", "reach_steps"))
     shares = reach_steps / steps
     right = np.minimum(reach_steps, steps / 2) + np.minimum(steps - reach_steps, steps / 2)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from freerein_sim.worlds.bins.durations import PLAIN_STEPS, UnevenDurations
+from freerein_sim.worlds.bins.durations import PLAIN_STEPS, uneven_tempos
 from freerein_sim.worlds.tempo import Tempo, draw_log_uniform, draw_tempo
 
 
@@ -40,6 +40,6 @@ def test_as_many_log_uniform_numbers_are_below_the_geometric_mean_as_above() -> 
 def test_uneven_moves_that_do_not_fit_into_an_episode_are_shorter() -> None:
     rng = np.random.default_rng(0)
 
-    drawn = UnevenDurations().draw(rng, 4, 4 * PLAIN_STEPS)
+    drawn = uneven_tempos(rng, 4, 4 * PLAIN_STEPS)
 
     assert drawn == [Tempo(1.0, 0.0)] * 4

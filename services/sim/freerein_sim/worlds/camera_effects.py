@@ -19,7 +19,6 @@ Effect = Callable[[Frame], Frame]
 _HUE_TURN = 0.1
 """Share of the colour circle."""
 
-_GAIN, _LOSS = 1.15, 0.85
 _JPEG_QUALITY = 30
 _BLUR_AT_PX = 64
 """Frame height at which the blur's sigma is one pixel."""
@@ -41,9 +40,9 @@ def turn_hue(frame: Frame, *, by: float) -> Frame:
     return _rounded(value[..., None] - chroma[..., None] * np.clip(np.minimum(phase, 4 - phase), 0, 1))
 
 
-def scale_channels(frame: Frame, *, gains: tuple[float, float, float]) -> Frame:
-    """Returns the frame with each channel multiplied."""
-    return _rounded(frame.astype(np.float32) * np.array(gains, np.float32))
+def scale_channels(frame: Frame, *, red: float, blue: float) -> Frame:
+    """Returns the frame with two channels multiplied."""
+    return _rounded(frame.astype(np.float32) * np.array((red, 1, blue), np.float32))
 
 
 def blur(frame: Frame) -> Frame:
@@ -75,28 +74,22 @@ def compress(frame: Frame) -> Frame:
             return np.array(image, np.uint8)
 
 
-EFFECTS: dict[str, Effect] = {
-    "hue-minus-10": partial(turn_hue, by=-_HUE_TURN),
-    "hue-plus-10": partial(turn_hue, by=_HUE_TURN),
-    "warm": partial(scale_channels, gains=(_GAIN, 1, _LOSS)),
-    "cool": partial(scale_channels, gains=(_LOSS, 1, _GAIN)),
-    "blur": blur,
-    "noise-10": partial(add_noise, sigma=10),
-    "noise-20": partial(add_noise, sigma=20),
-    "jpeg": compress,
+_DRAWN = "drawn from the frame's hash"
+_EFFECTS: dict[Condition, Effect] = {
+    Condition("hue-minus-10", "hue", "hue turned back by 36 degrees"): partial(turn_hue, by=-_HUE_TURN),
+    Condition("hue-plus-10", "hue", "hue turned on by 36 degrees"): partial(turn_hue, by=_HUE_TURN),
+    Condition("warm", "white-balance", "red times 1.15, blue times 0.85"): partial(scale_channels, red=1.15, blue=0.85),
+    Condition("cool", "white-balance", "red times 0.85, blue times 1.15"): partial(scale_channels, red=0.85, blue=1.15),
+    Condition("blur", "blur", "Gaussian blur, sigma one pixel at 64 rows"): blur,
+    Condition("noise-10", "noise", f"Gaussian noise, sigma 10 grey levels, {_DRAWN}"): partial(add_noise, sigma=10),
+    Condition("noise-20", "noise", f"Gaussian noise, sigma 20 grey levels, {_DRAWN}"): partial(add_noise, sigma=20),
+    Condition("jpeg", "jpeg", "JPEG of quality 30"): compress,
 }
-"""By condition, in the order in which they apply: as light passes through lens, sensor and encoder."""
+"""In the order in which they apply: as light passes through lens, sensor and encoder."""
 
-CONDITIONS = (
-    Condition("hue-minus-10", "hue", "hue turned back by 36 degrees"),
-    Condition("hue-plus-10", "hue", "hue turned on by 36 degrees"),
-    Condition("warm", "white-balance", "red times 1.15, blue times 0.85"),
-    Condition("cool", "white-balance", "red times 0.85, blue times 1.15"),
-    Condition("blur", "blur", "Gaussian blur, sigma one pixel at 64 rows"),
-    Condition("noise-10", "noise", "Gaussian noise, sigma 10 grey levels, drawn from the frame's hash"),
-    Condition("noise-20", "noise", "Gaussian noise, sigma 20 grey levels, drawn from the frame's hash"),
-    Condition("jpeg", "jpeg", "JPEG of quality 30"),
-)
+CONDITIONS = tuple(_EFFECTS)
+EFFECTS = {condition.name: effect for condition, effect in _EFFECTS.items()}
+"""By condition, in their order."""
 
 
 def effects_of(conditions: Collection[str]) -> tuple[Effect, ...]:

@@ -4,8 +4,11 @@ import hashlib
 import importlib.util
 import logging
 import struct
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,7 +17,7 @@ from freerein.errors import FailedPrecondition, InvalidInput
 from freerein_sim.worlds import generators
 from freerein_sim.worlds.camera_moves import CameraMove
 from freerein_sim.worlds.rendering import Renderer, gray, open_renderer
-from freerein_sim.worlds.world import Frame, WorldSpec, check_view
+from freerein_sim.worlds.world import Frame, MakeExpert, ScriptedPolicy, WorldSpec, check_view
 
 _log = logging.getLogger(__name__)
 
@@ -22,6 +25,9 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 _HEADER = struct.Struct("<4sI")
 _MAGIC = b"fmjc"
+
+MakeWorldExpert = Callable[[Any, Sequence[str], np.random.Generator], ScriptedPolicy]
+"""Makes an expert of a world, as `MakeExpert` does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +122,45 @@ class MujocoSimulation:
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+
+class MujocoWorld:
+    """What worlds have of their simulation, and an expert that its maker brings along: no world imports its own.
+
+    Args:
+        spec: The task's spec.
+        scene: The compiled scene.
+        make_expert: Makes its experts; None for a task without.
+        camera_move: How its cameras move, if they do.
+    """
+
+    steps = None
+
+    def __init__(
+        self,
+        spec: WorldSpec,
+        scene: Scene,
+        make_expert: MakeWorldExpert | None = None,
+        camera_move: CameraMove | None = None,
+    ) -> None:
+        self.spec = spec
+        self._make_expert = make_expert
+        self._simulation = simulation = MujocoSimulation(spec, scene, camera_move)
+        self.fingerprint, self._data = simulation.fingerprint, simulation.data
+        self.render, self.close = simulation.render, simulation.close
+
+    @property
+    def expert(self) -> MakeExpert | None:
+        """Makes experts; None in a world without."""
+        return self._make_expert and partial(self._make_expert, self)
+
+    def snapshot(self) -> bytes:
+        """Returns the complete state."""
+        return self._simulation.snapshot()
+
+    def restore(self, snapshot: bytes) -> None:
+        """Restores a snapshot, after checking every number."""
+        self._simulation.restore(snapshot)
 
 
 def compile_scene(spec: mujoco.MjSpec, *, light: float = 1.0) -> Scene:

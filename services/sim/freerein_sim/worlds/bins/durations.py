@@ -1,7 +1,6 @@
 """How long moves take: in `bins` similarly long, in `bins.uneven` some many times as long as others."""
 
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -22,32 +21,25 @@ _MOVING_STEPS, _LEAST_SPEED = 8, 0.1
 """Steps that the gripper is on its way in a move at full speed, and its least share of that speed."""
 
 
-class Durations(Protocol):
-    """Draws how long moves take."""
-
-    def draw(self, rng: np.random.Generator, count: int, max_steps: int) -> Sequence[Tempo]:
-        """Draws the tempo of each of `count` moves; unless many fail, all end within `max_steps`."""
+DrawTempos = Callable[[np.random.Generator, int, int], Sequence[Tempo]]
+"""Draws the tempo of each of a number of moves; unless many fail, all end within the steps of an episode."""
 
 
-class EvenDurations:
-    """All moves are at full speed, and stumble for some steps."""
-
-    def draw(self, rng: np.random.Generator, count: int, max_steps: int) -> Sequence[Tempo]:
-        """Draws how long each move stumbles, exponentially."""
-        drawn = np.minimum(rng.exponential(_STUMBLING_STEPS, size=count), _MAX_STUMBLING_STEPS)
-        return [Tempo(1.0, steps) for steps in _fit(drawn, max_steps)]
+def even_tempos(rng: np.random.Generator, count: int, max_steps: int) -> Sequence[Tempo]:
+    """Draws moves at full speed, and how long each stumbles, exponentially."""
+    drawn = np.minimum(rng.exponential(_STUMBLING_STEPS, size=count), _MAX_STUMBLING_STEPS)
+    return [Tempo(1.0, steps) for steps in _fit(drawn, max_steps)]
 
 
-class UnevenDurations:
-    """Some moves are many times as long as others, whichever the grocery and the place in the recipe."""
+def uneven_tempos(rng: np.random.Generator, count: int, max_steps: int) -> Sequence[Tempo]:
+    """Draws how many steps longer each move is, log-uniformly, and which share of them it moves slowly.
 
-    def draw(self, rng: np.random.Generator, count: int, max_steps: int) -> Sequence[Tempo]:
-        """Draws how many steps longer each move is, log-uniformly, and which share of them it moves slowly."""
-        drawn = np.array([draw_log_uniform(rng, *_UNEVEN_EXTRA_STEPS) for _ in range(count)])
-        return [
-            draw_tempo(rng, extra, moving_steps=_MOVING_STEPS, least_speed=_LEAST_SPEED)
-            for extra in _fit(drawn, max_steps)
-        ]
+    Some are many times as long as others, whichever the grocery and the place in the recipe.
+    """
+    drawn = np.array([draw_log_uniform(rng, *_UNEVEN_EXTRA_STEPS) for _ in range(count)])
+    return [
+        draw_tempo(rng, extra, moving_steps=_MOVING_STEPS, least_speed=_LEAST_SPEED) for extra in _fit(drawn, max_steps)
+    ]
 
 
 def _fit(extra_steps: Steps, max_steps: int) -> Steps:

@@ -4,19 +4,16 @@ It stands in for the dissertation's people at teleoperation, who "stumble a litt
 (section 2.4), so that in `bins` a pick lasts two to three times as long as a place.
 """
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from freerein_sim.worlds.bins.durations import PLAIN_STEPS, Durations
+from freerein_sim.worlds.bins.durations import PLAIN_STEPS, DrawTempos
 from freerein_sim.worlds.bins.layout import FLOOR_M, GROCERIES, LEFT_BIN_HALF_M, LEFT_BIN_M, WALL_TOP_M, Grocery, Place
+from freerein_sim.worlds.bins.simulation import BinsWorld
 from freerein_sim.worlds.tempo import Tempo
-from freerein_sim.worlds.world import LabelledAction
-
-if TYPE_CHECKING:
-    from freerein_sim.worlds.bins.simulation import BinsWorld
+from freerein_sim.worlds.world import LabelledAction, skill_indices
 
 _OPEN, _CLOSED = 1.0, -1.0
 _TIP_M = 0.014
@@ -36,15 +33,15 @@ _SHORTEST_STRAY, _SHORTEST_MISS = 4, 9
 
 
 class BinsExpert:
-    """Moves one grocery after the other into its compartment, using the true state."""
+    """Moves one grocery after the other into its compartment, all of them without skills, using the true state."""
 
     def __init__(
-        self, world: "BinsWorld", skills: tuple[int, ...], rng: np.random.Generator, durations: Durations
+        self, world: BinsWorld, skills: Sequence[str], rng: np.random.Generator, *, draw_tempos: DrawTempos
     ) -> None:
         self._world = world
-        self._skills = skills
+        self._skills = skill_indices(world.spec, skills) or tuple(range(len(GROCERIES)))
         self._rng = rng
-        self._durations = durations
+        self._draw_tempos = draw_tempos
         self._steps = 0
         self._speed = 1.0
         self._fingers = _OPEN
@@ -60,7 +57,7 @@ class BinsExpert:
 
     def _demonstrate(self) -> Iterator[LabelledAction]:
         horizon, count = self._world.spec.max_episode_steps, len(self._skills)
-        tempos = self._durations.draw(self._rng, count, horizon)
+        tempos = self._draw_tempos(self._rng, count, horizon)
         for number, skill in enumerate(self._skills):
             spare = horizon - self._steps - (count - number) * PLAIN_STEPS
             for action in self._move(GROCERIES[skill], tempos[number], spare):

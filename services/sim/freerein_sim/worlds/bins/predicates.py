@@ -1,65 +1,16 @@
 """Predicates of the bins task, on true positions in metres."""
 
-from functools import partial
-
 import numpy as np
 
 from freerein_sim.worlds.bins.layout import COMPARTMENT_HALF_M, FLOOR_M, GROCERIES, Grocery, Place
-from freerein_sim.worlds.predicates import AT_LANDMARK, OBJECT_MOVES, Flags, StatePredicate, States
-from freerein_sim.worlds.world import WorldSpec
+from freerein_sim.worlds.bins.spec import SPEC
+from freerein_sim.worlds.moved_objects import MovedObjects
+from freerein_sim.worlds.predicates import Flags, States
 
-TOLERANCE_M = 0.025
-"""How far gripper and groceries may be from where a landmark has them."""
-
-LIFTED_M = 0.03
-"""Least rise of a lifted grocery."""
-
+_LIFTED_M = 0.03
 _RESTING_M = 0.01
 _RELEASED_M = 0.012
 _AWAY_M = 0.12
-
-
-class BinPredicates:
-    """Makes the task's predicates from the names of its true state."""
-
-    def __init__(self, spec: WorldSpec) -> None:
-        names = spec.state_names
-        self._gripper = [names.index(f"gripper.{axis}") for axis in "xyz"]
-        self._opening = names.index("gripper.opening")
-        self._groceries = np.array([[names.index(f"{each.name}.{axis}") for axis in "xyz"] for each in GROCERIES])
-
-    def all(self) -> tuple[StatePredicate, ...]:
-        """Returns the predicates of landmarks and of each skill `move-GROCERY`."""
-        numbered = tuple(enumerate(GROCERIES))
-        return (
-            StatePredicate(AT_LANDMARK, self._is_at, needs_reference=True),
-            StatePredicate(OBJECT_MOVES, self._is_moved, needs_reference=True),
-            *(StatePredicate(f"lifted/move-{each.name}", partial(self._is_lifted, i)) for i, each in numbered),
-            *(StatePredicate(f"completed/move-{each.name}", partial(self._is_completed, i)) for i, each in numbered),
-        )
-
-    def _is_at(self, states: States, references: States) -> Flags:
-        off = np.abs(states[..., self._gripper] - references[..., self._gripper]).max(axis=-1)  # (N, T)
-        return np.asarray((off <= TOLERANCE_M) & ~self._is_moved(states, references))
-
-    def _is_moved(self, states: States, references: States) -> Flags:
-        moved = np.linalg.norm(states[..., self._groceries] - references[..., self._groceries], axis=-1)
-        return np.asarray(moved.max(axis=-1) > TOLERANCE_M)
-
-    def _is_lifted(self, index: int, states: States) -> Flags:
-        height = states[..., self._groceries[index, 2]]  # (N, T)
-        return np.asarray(np.maximum.accumulate(height, axis=1) - height[:, :1] > LIFTED_M)
-
-    def _is_completed(self, index: int, states: States) -> Flags:
-        """The grocery lay elsewhere in the first state, and now lies in its compartment, released."""
-        lies = is_placed(
-            GROCERIES[index],
-            states[..., self._groceries[index]],
-            gripper=states[..., self._gripper],
-            opening_m=states[..., self._opening],
-        )  # (N, T)
-        began = is_in_compartment(GROCERIES[index], states[:, :1, self._groceries[index]])
-        return np.asarray(lies & ~began)
 
 
 def is_in_compartment(grocery: Grocery, at: Place) -> Flags:
@@ -80,3 +31,17 @@ def is_placed(grocery: Grocery, at: Place, *, gripper: Place, opening_m: States)
     """
     away = np.linalg.norm(gripper - at, axis=-1) > _AWAY_M
     return np.asarray(is_in_compartment(grocery, at) & (away | (opening_m > grocery.width_m + _RELEASED_M)))
+
+
+def _is_completed(index: int, states: States) -> Flags:
+    """The grocery lay elsewhere in the first state, and now lies in its compartment, released."""
+    at = states[..., _OBJECTS.objects[index]]
+    opening_m = states[..., SPEC.state_names.index("gripper.opening")]
+    lies = is_placed(GROCERIES[index], at, gripper=states[..., _OBJECTS.gripper], opening_m=opening_m)  # (N, T)
+    return np.asarray(lies & ~is_in_compartment(GROCERIES[index], at[:, :1]))
+
+
+_NAMES = tuple(each.name for each in GROCERIES)
+_OBJECTS = MovedObjects(SPEC.state_names, gripper_axes="xyz", names=_NAMES, lifted_m=_LIFTED_M)
+PREDICATES = _OBJECTS.predicates({f"move-{name}": index for index, name in enumerate(_NAMES)}, _is_completed)
+"""Of landmarks and of each skill `move-GROCERY`."""

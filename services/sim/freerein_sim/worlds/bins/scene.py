@@ -11,6 +11,7 @@ import mujoco
 
 from freerein_sim.worlds.bins.layout import GROCERIES, Grocery
 from freerein_sim.worlds.mujoco_world import Scene, asset_folder, compile_scene
+from freerein_sim.worlds.scenes import add_servo, use_firm_contacts
 
 TIMESTEP_S = 0.0025
 ARM = tuple(f"sawyer.right_j{i}" for i in range(7))
@@ -58,8 +59,7 @@ def build(*, light: float = 1.0) -> Scene:
     spec = mujoco.MjSpec.from_file(str(assets / "arenas" / "bins_arena.xml"))
     spec.option.timestep = TIMESTEP_S
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = 10
+    use_firm_contacts(spec)
     _set_view(spec)
     _add_robot(spec, assets)
     for grocery in GROCERIES:
@@ -97,7 +97,8 @@ def _add_robot(spec: mujoco.MjSpec, assets: Path) -> None:
         finger.ctrlrange = (low, high)
     robot.body("right_hand").add_frame().attach_body(gripper.body("gripper_base"), "gripper.", "")
     spec.worldbody.add_frame(pos=_BASE_M).attach_body(robot.body("base"), "sawyer.", "")
-    _add_servos(spec)
+    for joint, kp, kv, torque_nm in zip(ARM, _KP, _KV, _TORQUES_NM, strict=True):
+        add_servo(spec, joint, kp=kp, kv=kv, force=torque_nm)
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
         size=[*_PEDESTAL_M, 0],
@@ -117,13 +118,6 @@ def _show_or_delete(part: mujoco.MjSpec, geom: mujoco.MjsGeom) -> None:
     geom.rgba = next((rgba for word, rgba in _COLOURS.items() if word in geom.name), _RED)
     if "head" in geom.name or "screen" in geom.name:
         geom.group = _NOT_DRAWN
-
-
-def _add_servos(spec: mujoco.MjSpec) -> None:
-    for joint, kp, kv, torque_nm in zip(ARM, _KP, _KV, _TORQUES_NM, strict=True):
-        servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        servo.set_to_position(kp=kp, kv=kv)
-        servo.forcelimited, servo.forcerange = True, (-torque_nm, torque_nm)
 
 
 def _add_grocery(spec: mujoco.MjSpec, assets: Path, grocery: Grocery) -> None:

@@ -4,13 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from freerein_sim.worlds.bins import CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M, initial_states, scene
+from freerein_sim.worlds.bins import initial_states, scene
 from freerein_sim.worlds.bins.arm import HOME_RAD, Arm
-from freerein_sim.worlds.bins.durations import Durations
-from freerein_sim.worlds.bins.expert import BinsExpert
 from freerein_sim.worlds.bins.layout import FLOOR_M, GROCERIES, Grocery, Place
 from freerein_sim.worlds.bins.predicates import is_placed
-from freerein_sim.worlds.mujoco_world import MujocoSimulation
+from freerein_sim.worlds.bins.spec import CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M
+from freerein_sim.worlds.mujoco_world import MakeWorldExpert, MujocoWorld, Scene
 from freerein_sim.worlds.world import Action, GroundTruth, StepResult, WorldSpec, check_actions, skill_indices
 
 WORKSPACE_M = np.array([[-0.07, -0.47, 0.836], [0.27, 0.48, 1.2]])
@@ -24,29 +23,14 @@ _LEAD_M = 0.3
 _FALLEN_M = FLOOR_M - 0.1
 
 
-class BinsWorld:
-    """A Sawyer, two bins and four groceries.
+class BinsWorld(MujocoWorld):
+    """A Sawyer, two bins and four groceries."""
 
-    Args:
-        spec: The task's spec.
-        durations: Draws how long the expert's moves take.
-        light: Factor of all lights.
-    """
-
-    steps = None
-
-    def __init__(self, spec: WorldSpec, durations: Durations, *, light: float = 1.0) -> None:
-        self.spec = spec
-        self._durations = durations
-        built = scene.build(light=light)
-        self._simulation = simulation = MujocoSimulation(spec, built)
+    def __init__(self, spec: WorldSpec, built: Scene, make_expert: MakeWorldExpert) -> None:
+        super().__init__(spec, built, make_expert)
         self._arm = Arm(built.model)
-        self.fingerprint = simulation.fingerprint
-        self._data = data = simulation.data
-        self._arm_controls = [data.actuator(name).id for name in scene.ARM]
-        self._finger_controls = [data.actuator(name).id for name in scene.FINGERS]
-        self.snapshot, self.restore = simulation.snapshot, simulation.restore
-        self.render, self.close = simulation.render, simulation.close
+        self._arm_controls = [self._data.actuator(name).id for name in scene.ARM]
+        self._finger_controls = [self._data.actuator(name).id for name in scene.FINGERS]
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Draws the initial state, on which a recipe has no effect."""
@@ -87,11 +71,6 @@ class BinsWorld:
         """Returns the poses of gripper and groceries; the task has no goal."""
         poses = [self._data.joint(each.name).qpos for each in GROCERIES]
         return GroundTruth(np.concatenate([self.gripper, [self.opening_m], *poses]), 0.0, False)
-
-    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> BinsExpert:
-        """Returns a demonstrator that moves each named grocery into its compartment; all of them without skills."""
-        wanted = skill_indices(self.spec, skills) or tuple(range(len(GROCERIES)))
-        return BinsExpert(self, wanted, rng, self._durations)
 
     @property
     def gripper(self) -> Place:

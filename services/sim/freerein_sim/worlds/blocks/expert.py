@@ -1,13 +1,13 @@
 """The scripted expert of the blocks world: picks and places blocks with random speed, noise and pauses."""
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from freerein.errors import InvalidInput
 from freerein_sim.worlds.blocks.goals import BlockGoal
 from freerein_sim.worlds.blocks.relations import (
     BLOCK_M,
@@ -17,10 +17,8 @@ from freerein_sim.worlds.blocks.relations import (
     is_on,
     is_on_table,
 )
+from freerein_sim.worlds.blocks.simulation import BlocksWorld
 from freerein_sim.worlds.world import LabelledAction
-
-if TYPE_CHECKING:
-    from freerein_sim.worlds.blocks.simulation import BlocksWorld
 
 _GRASP_ABOVE_M = 0.018
 """Height above a block's centre at which the fingers close."""
@@ -58,27 +56,21 @@ class _Waypoint:
 
 
 class BlocksExpert:
-    """Moves one block after the other, using the true state.
+    """Picks up each named block and places it elsewhere, or at the goal if there is one, using the true state.
 
-    Without a goal a block goes to a free place on the table, or onto a block that will not be moved any more. `speed`
-    is a factor of its speed of travel.
+    Without skills it moves every block on show that the task has a skill for. Without a goal a block goes to a free
+    place on the table, or onto a block that will not be moved any more.
+
+    Raises:
+        InvalidInput: A named block is hidden.
     """
 
-    def __init__(
-        self,
-        world: "BlocksWorld",
-        skills: tuple[str, ...],
-        goal: BlockGoal | None,
-        rng: np.random.Generator,
-        *,
-        speed: float = 1.0,
-    ) -> None:
+    def __init__(self, world: BlocksWorld, skills: Sequence[str], rng: np.random.Generator) -> None:
         self._world = world
-        self._waiting = deque(skills)
-        self._goal = goal
+        self._waiting = deque(_named_on_show(world, skills))
         self._rng = rng
-        self._speed = speed * rng.uniform(*_SPEED)
-        self._max_reach_steps = round(_MAX_REACH_STEPS / min(speed, 1.0))
+        self._speed = world.variation.speed * rng.uniform(*_SPEED)
+        self._max_reach_steps = round(_MAX_REACH_STEPS / min(world.variation.speed, 1.0))
         self._waypoints: deque[_Waypoint] = deque()
         self._steps = 0
         self._colour = ""
@@ -120,7 +112,7 @@ class BlocksExpert:
             self._tries += 1
             self._failed = self._tries >= _MAX_TRIES
         elif self._waiting:
-            self._colour = self._waiting.popleft().removeprefix("move-")
+            self._colour = self._waiting.popleft()
             self._tries = 0
             self._choose_place()
         else:
@@ -154,8 +146,8 @@ class BlocksExpert:
 
     def _choose_place(self) -> None:
         """Chooses the target place; fails where there is none."""
-        if self._goal is not None:
-            self._place = self._goal_place(self._goal)
+        if self._world.goal is not None:
+            self._place = self._goal_place(self._world.goal)
             return
         stacks, frees = self._tops(), self._free_places()
         stacking = bool(stacks) and (not frees or self._rng.random() < _STACK_PROBABILITY)
@@ -174,12 +166,11 @@ class BlocksExpert:
     def _tops(self) -> list[Position]:
         """Returns the places on top of uncovered blocks on the table that will not be moved any more."""
         here = self._world.position(self._colour)
-        later = {skill.removeprefix("move-") for skill in self._waiting}
         positions = {colour: self._world.position(colour) for colour in self._others()}
         return [
             np.add(at, (0, 0, BLOCK_M))
             for colour, at in positions.items()
-            if colour not in later
+            if colour not in self._waiting
             and is_on_table(at)
             and not any(is_on(other, at) for other in (*positions.values(), here))
         ]
@@ -200,3 +191,15 @@ class BlocksExpert:
         way[:2] *= min(1.0, self._speed / max(furthest, 1e-9))
         way[:2] += _NOISE * min(1.0, furthest) * self._rng.standard_normal(2)
         return np.asarray(np.clip(way, -1, 1), np.float32)
+
+
+def _named_on_show(world: BlocksWorld, skills: Sequence[str]) -> Sequence[str]:
+    """Returns the colours that skills name, those of all skills whose blocks are on show without any."""
+    on_show = world.visible_colours
+    if hidden := set(world.named(skills)).difference(on_show):
+        raise InvalidInput(
+            f"A recipe must name blocks on show, {', '.join(on_show)}; {', '.join(sorted(hidden))} is hidden.",
+            field="skills",
+            hint="Leave the recipe out for all blocks on show.",
+        )
+    return world.named(skills) or [colour for colour in world.named(world.spec.skills) if colour in on_show]

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from freerein_sim.worlds.blocks import COLOURS, scene
+from freerein_sim.worlds.blocks import scene
 from freerein_sim.worlds.blocks.goals import BlockGoal
 from freerein_sim.worlds.blocks.relations import BLOCK_M, CLOSE_M, PLACED_ASIDE_M, BlockRelation, Position
+from freerein_sim.worlds.blocks.spec import COLOURS
 
 PARKED_M = np.array([(scene.PAD_M[0], (i - 1.5) * 2 * BLOCK_M, BLOCK_M / 2) for i in range(len(COLOURS))])
 """Position of each hidden block on the pad, in the order of `COLOURS`: float64 (4, 3)."""

@@ -7,10 +7,10 @@ mocap body in the Fetch environments. x points to the front camera, y to its rig
 from functools import lru_cache
 
 import mujoco
-import numpy as np
 
 from freerein_sim.worlds.blocks.relations import BLOCK_M
 from freerein_sim.worlds.mujoco_world import Scene, asset_folder, compile_scene
+from freerein_sim.worlds.scenes import add_camera, add_lamp, add_servo, new_scene, use_firm_contacts
 
 TABLE_HALF_X_M, TABLE_HALF_Y_M = 0.14, 0.30
 GRIPPER_Y_M = (-0.22, 0.22)
@@ -62,14 +62,11 @@ def build(colours: tuple[str, ...], *, pad: bool = False, light: float = 1.0) ->
         pad: Whether there is a pad for hidden blocks.
         light: Factor of all lights.
     """
-    spec = mujoco.MjSpec()
-    spec.option.timestep = TIMESTEP_S
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = 10
-    _set_look(spec)
+    spec = new_scene(timestep_s=TIMESTEP_S, ambient=0.38, diffuse=0.38, znear=0.02, zfar=10)
+    use_firm_contacts(spec)
     _add_room(spec.worldbody)
-    _add_cameras(spec.worldbody)
+    for name, (at, to, fovy) in CAMERAS.items():
+        add_camera(spec.worldbody, name, at=at, to=to, fovy=fovy)
     _add_gripper(spec)
     for colour in colours:
         _add_block(spec.worldbody, colour)
@@ -78,22 +75,8 @@ def build(colours: tuple[str, ...], *, pad: bool = False, light: float = 1.0) ->
     return compile_scene(spec, light=light)
 
 
-def _set_look(spec: mujoco.MjSpec) -> None:
-    spec.visual.headlight.ambient = [0.38] * 3
-    spec.visual.headlight.diffuse = [0.38] * 3
-    spec.visual.headlight.specular = [0.0] * 3
-    spec.visual.map.znear = 0.02
-    spec.visual.map.zfar = 10
-
-
 def _add_room(world: mujoco.MjsBody) -> None:
-    world.add_light(
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        dir=[-0.5, 0.35, -0.8],
-        diffuse=[0.5] * 3,
-        specular=[0.1] * 3,
-        castshadow=False,
-    )
+    add_lamp(world, direction=(-0.5, 0.35, -0.8), diffuse=0.5)
     box = mujoco.mjtGeom.mjGEOM_BOX
     half_z = 0.05
     world.add_geom(
@@ -105,16 +88,6 @@ def _add_room(world: mujoco.MjsBody) -> None:
         ("floor", (2, 2, 0.01), (0, 0, -0.6), _FLOOR),
     ):
         world.add_geom(name=name, type=box, size=size, pos=position, rgba=rgba, contype=0, conaffinity=0)
-
-
-def _add_cameras(world: mujoco.MjsBody) -> None:
-    for name, (place, target, fovy) in CAMERAS.items():
-        backward = np.subtract(place, target)
-        right = np.cross((0, 0, 1), backward)
-        axes = np.stack([right, np.cross(backward, right), backward], axis=1)
-        quaternion = np.empty(4)
-        mujoco.mju_mat2Quat(quaternion, (axes / np.linalg.norm(axes, axis=0)).ravel())
-        world.add_camera(name=name, pos=place, quat=quaternion, fovy=fovy)
 
 
 def _add_gripper(spec: mujoco.MjSpec) -> None:
@@ -137,9 +110,9 @@ def _add_gripper(spec: mujoco.MjSpec) -> None:
     for side, sign in (("left", -1), ("right", 1)):
         _add_finger(gripper, side, sign)
     for joint, limits in (("gripper.y", GRIPPER_Y_M), ("gripper.z", GRIPPER_Z_M)):
-        _add_servo(spec, joint, limits, kp=_SERVO_KP, kv=_SERVO_KV, force_n=_SERVO_N)
+        add_servo(spec, joint, limits=limits, kp=_SERVO_KP, kv=_SERVO_KV, force=_SERVO_N)
     for side in ("left", "right"):
-        _add_servo(spec, f"finger.{side}", FINGER_M, kp=_FINGER_KP, kv=_FINGER_KV, force_n=_SERVO_N)
+        add_servo(spec, f"finger.{side}", limits=FINGER_M, kp=_FINGER_KP, kv=_FINGER_KV, force=_SERVO_N)
 
 
 def _add_finger(gripper: mujoco.MjsBody, side: str, sign: int) -> None:
@@ -161,15 +134,6 @@ def _add_finger(gripper: mujoco.MjsBody, side: str, sign: int) -> None:
         condim=4,
         friction=[1.5, 0.05, 0.01],
     )
-
-
-def _add_servo(
-    spec: mujoco.MjSpec, joint: str, limits: tuple[float, float], *, kp: float, kv: float, force_n: float
-) -> None:
-    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    servo.set_to_position(kp=kp, kv=kv)
-    servo.ctrllimited, servo.ctrlrange = True, limits
-    servo.forcelimited, servo.forcerange = True, (-force_n, force_n)
 
 
 def _add_block(world: mujoco.MjsBody, colour: str) -> None:

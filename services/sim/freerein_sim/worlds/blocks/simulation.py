@@ -7,14 +7,14 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
-from freerein_sim.worlds.blocks import COLOURS, CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M, scene
-from freerein_sim.worlds.blocks.expert import BlocksExpert
+from freerein_sim.worlds.blocks import scene
 from freerein_sim.worlds.blocks.goals import BlockGoal
 from freerein_sim.worlds.blocks.initial_states import PARKED_M, InitialStateSampler
 from freerein_sim.worlds.blocks.relations import Position, holds, is_visible
+from freerein_sim.worlds.blocks.spec import COLOURS, CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M
 from freerein_sim.worlds.blocks.variation import Variation
 from freerein_sim.worlds.camera_moves import CameraMove
-from freerein_sim.worlds.mujoco_world import MujocoSimulation
+from freerein_sim.worlds.mujoco_world import MakeWorldExpert, MujocoWorld
 from freerein_sim.worlds.world import (
     Action,
     GroundTruth,
@@ -30,7 +30,7 @@ _LEAD_M = 0.07
 _PARKED_POSES = {colour: np.array([*place, 1, 0, 0, 0]) for colour, place in zip(COLOURS, PARKED_M, strict=True)}
 
 
-class BlocksWorld:
+class BlocksWorld(MujocoWorld):
     """A gripper and blocks in the plane in which the gripper moves.
 
     Args:
@@ -39,9 +39,8 @@ class BlocksWorld:
         draw_initial_state: Draws initial states.
         variation: How the world differs from the nominal one.
         goal: The goal; None for none.
+        make_expert: Makes its experts; None for a task without.
     """
-
-    steps = None
 
     def __init__(
         self,
@@ -51,32 +50,26 @@ class BlocksWorld:
         variation: Variation,
         *,
         goal: BlockGoal | None = None,
+        make_expert: MakeWorldExpert | None = None,
     ) -> None:
-        self.spec = spec
-        self.colours = colours
-        self.goal = goal
-        self._draw_initial_state = draw_initial_state
-        self._variation = variation
         built = scene.build(colours, pad=variation.fewest_blocks < len(colours), light=variation.light)
-        self._simulation = simulation = MujocoSimulation(spec, built, _camera_move(variation))
-        self.fingerprint = simulation.fingerprint
-        self._data = simulation.data
-        self.snapshot, self.restore = simulation.snapshot, simulation.restore
-        self.render, self.close = simulation.render, simulation.close
-        if not spec.has_expert:
-            self.expert = None  # type: ignore[method-assign, assignment]
+        super().__init__(spec, built, make_expert, _camera_move(variation))
+        self.goal = goal
+        self.variation = variation
+        self._colours = colours
+        self._draw_initial_state = draw_initial_state
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Draws the initial state. The blocks that a recipe names are on show; that is all its effect."""
-        wanted = self._named(recipe)
-        if len(set(wanted)) > self._variation.blocks:
+        wanted = self.named(recipe)
+        if len(set(wanted)) > self.variation.blocks:
             raise InvalidInput(
-                f"A recipe must name at most {self._variation.blocks} blocks, those on show; got {len(set(wanted))}.",
+                f"A recipe must name at most {self.variation.blocks} blocks, those on show; got {len(set(wanted))}.",
                 field="skills",
             )
         self._simulation.reset(rng)
         start = self._draw_initial_state(rng, wanted)
-        for colour in self.colours:
+        for colour in self._colours:
             self._data.joint(colour).qpos = (*start.blocks[COLOURS.index(colour)], 1, 0, 0, 0)
         gripper = start.gripper
         here = (*gripper.at, gripper.finger_m, gripper.finger_m)
@@ -102,12 +95,12 @@ class BlocksWorld:
         if self._simulation.step(_SUBSTEPS):
             return StepResult(terminated=True, diverged=True)
         self._simulation.refresh()
-        return StepResult(terminated=any(self.position(colour)[2] < _FALLEN_M for colour in self.colours))
+        return StepResult(terminated=any(self.position(colour)[2] < _FALLEN_M for colour in self._colours))
 
     def truth(self) -> GroundTruth:
         """Returns the poses of gripper and blocks, and whether the goal holds."""
         poses = [
-            self._data.joint(colour).qpos if colour in self.colours else _PARKED_POSES[colour] for colour in COLOURS
+            self._data.joint(colour).qpos if colour in self._colours else _PARKED_POSES[colour] for colour in COLOURS
         ]
         opening = self._data.joint("finger.left").qpos + self._data.joint("finger.right").qpos
         success = self.goal is not None and bool(
@@ -115,25 +108,10 @@ class BlocksWorld:
         )
         return GroundTruth(np.concatenate([self.gripper, opening, *poses]), float(success), success)
 
-    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> BlocksExpert:
-        """Returns an expert that picks up each named block and places it elsewhere, or at the goal if there is one.
-
-        Without skills it moves every block on show that the task has a skill for. A hidden block is refused.
-        """
-        on_show = self.visible_colours
-        if hidden := set(self._named(skills)).difference(on_show):
-            raise InvalidInput(
-                f"A recipe must name blocks on show, {', '.join(on_show)}; {', '.join(sorted(hidden))} is hidden.",
-                field="skills",
-                hint="Leave the recipe out for all blocks on show.",
-            )
-        own = tuple(skill for skill in self.spec.skills if skill.removeprefix("move-") in on_show)
-        return BlocksExpert(self, tuple(skills) or own, self.goal, rng, speed=self._variation.speed)
-
     @property
     def visible_colours(self) -> tuple[str, ...]:
         """Colours of the blocks on show."""
-        return tuple(colour for colour in self.colours if is_visible(self.position(colour)))
+        return tuple(colour for colour in self._colours if is_visible(self.position(colour)))
 
     @property
     def gripper(self) -> npt.NDArray[np.float64]:
@@ -149,7 +127,7 @@ class BlocksWorld:
         """Returns the centre of a block, float64 (3,)."""
         return np.array(self._data.joint(colour).qpos[:3])
 
-    def _named(self, skills: Sequence[str]) -> tuple[str, ...]:
+    def named(self, skills: Sequence[str]) -> tuple[str, ...]:
         """Returns the colours that skills name. Raises InvalidInput for an unknown skill."""
         skill_indices(self.spec, skills)
         return tuple(skill.removeprefix("move-") for skill in skills)

@@ -1,6 +1,7 @@
 """How long presses take: in `dial` similarly long, in `dial.uneven` some many times as long as others."""
 
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,33 +14,30 @@ _UNEVEN_EXTRA_STEPS = (1, 150)
 """Fewest and most extra steps of an uneven press, if they fit into the episode."""
 
 
-class Durations(Protocol):
-    """Draws how long presses take."""
+@dataclass(frozen=True)
+class Durations:
+    """How long presses take.
 
-    @property
-    def least_speed(self) -> float:
-        """Least share of the full speed."""
+    Attributes:
+        least_speed: Least share of the full speed.
+        draw_extra_steps: Draws how many steps longer than at full speed a press takes; at most the spare ones, or 0.
+    """
 
-    def draw_extra_steps(self, rng: np.random.Generator, spare_steps: int) -> float:
-        """Draws how many steps longer than at full speed a press takes; at most the episode's spare ones, or 0."""
-
-
-class EvenDurations:
-    """Many presses are at full speed, and the others up to a few times as long."""
-
-    least_speed = 0.3
-
-    def draw_extra_steps(self, rng: np.random.Generator, spare_steps: int) -> float:
-        """Draws 0, or uniformly."""
-        most = min(_MOST_EXTRA_STEPS, spare_steps)
-        return 0.0 if most <= 0 or rng.random() < _HASTE else float(rng.uniform(0, most))
+    least_speed: float
+    draw_extra_steps: Callable[[np.random.Generator, int], float]
 
 
-class UnevenDurations:
-    """Some presses are many times as long as others, whichever the key and the place in the recipe."""
+def _draw_even(rng: np.random.Generator, spare_steps: int) -> float:
+    most = min(_MOST_EXTRA_STEPS, spare_steps)
+    return 0.0 if most <= 0 or rng.random() < _HASTE else float(rng.uniform(0, most))
 
-    least_speed = 0.1
 
-    def draw_extra_steps(self, rng: np.random.Generator, spare_steps: int) -> float:
-        """Draws log-uniformly."""
-        return min(draw_log_uniform(rng, *_UNEVEN_EXTRA_STEPS), max(0, spare_steps))
+def _draw_uneven(rng: np.random.Generator, spare_steps: int) -> float:
+    return min(draw_log_uniform(rng, *_UNEVEN_EXTRA_STEPS), max(0, spare_steps))
+
+
+EVEN = Durations(least_speed=0.3, draw_extra_steps=_draw_even)
+"""Many presses are at full speed, and the others up to a few times as long."""
+
+UNEVEN = Durations(least_speed=0.1, draw_extra_steps=_draw_uneven)
+"""Some presses are many times as long as others, whichever the key and the place in the recipe."""

@@ -3,20 +3,18 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from freerein_sim.worlds.dial import TORQUE_NM, keypad
+from freerein_sim.worlds.dial import keypad
 from freerein_sim.worlds.dial.durations import Durations
 from freerein_sim.worlds.dial.ik import Angles, key_targets
 from freerein_sim.worlds.dial.predicates import is_pressed
+from freerein_sim.worlds.dial.simulation import DialWorld
+from freerein_sim.worlds.dial.spec import RECIPES, TORQUE_NM
 from freerein_sim.worlds.tempo import draw_tempo
-from freerein_sim.worlds.world import LabelledAction
-
-if TYPE_CHECKING:
-    from freerein_sim.worlds.dial.simulation import DialWorld
+from freerein_sim.worlds.world import LabelledAction, skill_indices
 
 _STIFFNESS = np.array((150.0,) * 3 + (35.0,) * 3) / TORQUE_NM
 _DAMPING = np.array((10.0,) * 3 + (1.5,) * 3) / TORQUE_NM
@@ -67,15 +65,16 @@ class DialExpert:
     """Lifts the fingertip, moves it over a key, may hesitate there, and presses; one key after the other.
 
     A PD controller of the joint angles, whose torques are limited to a speed, and disturbed by noise that stays similar
-    for some steps. The actions that it returns contain the noise.
+    for some steps. The actions that it returns contain the noise. Without skills it draws two to five keys.
     """
 
     def __init__(
-        self, world: "DialWorld", digits: Sequence[int], rng: np.random.Generator, durations: Durations
+        self, world: DialWorld, skills: Sequence[str], rng: np.random.Generator, *, durations: Durations
     ) -> None:
         self._world = world
         self._durations = durations
-        self._waiting = deque(digits)
+        recipe = skills or RECIPES.draw(rng, world.spec.skills, fewest=2, most=RECIPES.most)
+        self._waiting = deque(skill_indices(world.spec, recipe))
         self._rng = rng
         self._targets = key_targets()
         self._stages: deque[_Stage] = deque()

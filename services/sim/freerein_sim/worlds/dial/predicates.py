@@ -5,19 +5,8 @@ from functools import partial
 import numpy as np
 
 from freerein_sim.worlds.dial import keypad
+from freerein_sim.worlds.dial.spec import SPEC
 from freerein_sim.worlds.predicates import Flags, StatePredicate, States
-from freerein_sim.worlds.world import WorldSpec
-
-
-def completed(spec: WorldSpec) -> tuple[StatePredicate, ...]:
-    """Returns `completed/press-DIGIT` for each digit."""
-    tip = [spec.state_names.index(f"fingertip.{axis}") for axis in "xy"]
-    return tuple(
-        StatePredicate(
-            f"completed/press-{digit}", partial(_is_completed, tip, spec.state_names.index(f"key-{digit}.depth"), digit)
-        )
-        for digit in keypad.DIGITS
-    )
 
 
 def is_pressed(digit: int, fingertip: States, depth: States) -> Flags:
@@ -33,9 +22,14 @@ def is_pressed(digit: int, fingertip: States, depth: States) -> Flags:
     return np.asarray(over & (depth >= keypad.PRESSED_M))
 
 
-def _is_completed(tip: list[int], depth: int, digit: int, states: States) -> Flags:
+def _is_completed(digit: int, states: States) -> Flags:
     """The key was not pressed at some timestep, and was at the next."""
+    tip = [SPEC.state_names.index(f"fingertip.{axis}") for axis in "xy"]
+    depth = SPEC.state_names.index(f"key-{digit}.depth")
     pressed = is_pressed(digit, states[..., tip], states[..., depth])  # (N, T)
     begins = np.zeros_like(pressed)
     begins[:, 1:] = pressed[:, 1:] & ~pressed[:, :-1]
     return np.asarray(np.maximum.accumulate(begins, axis=1))
+
+
+PREDICATES = tuple(StatePredicate(f"completed/press-{digit}", partial(_is_completed, digit)) for digit in keypad.DIGITS)

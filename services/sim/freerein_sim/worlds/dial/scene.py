@@ -12,8 +12,10 @@ import mujoco
 import numpy as np
 
 from freerein_sim.worlds.conditions import LIGHTS
-from freerein_sim.worlds.dial import TORQUE_NM, keypad
+from freerein_sim.worlds.dial import keypad
+from freerein_sim.worlds.dial.spec import TORQUE_NM
 from freerein_sim.worlds.mujoco_world import Scene, asset_folder, compile_scene
+from freerein_sim.worlds.scenes import add_camera, add_lamp, new_scene
 
 JOINTS = tuple(f"arm.joint_{number}" for number in range(1, 7))
 FINGERTIP = "arm.hand.fingertip"
@@ -47,10 +49,7 @@ def build(*, light: float = 1.0) -> Scene:
     Raises:
         FailedPrecondition: The wheel dm-control is not installed.
     """
-    spec = mujoco.MjSpec()
-    spec.option.timestep = TIMESTEP_S
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    _set_look(spec)
+    spec = new_scene(timestep_s=TIMESTEP_S, ambient=0.35, diffuse=0.35, znear=0.05, zfar=10)
     _add_room(spec.worldbody)
     for digit in keypad.DIGITS:
         _add_key(spec, digit)
@@ -58,32 +57,13 @@ def build(*, light: float = 1.0) -> Scene:
     return compile_scene(spec, light=light)
 
 
-def _set_look(spec: mujoco.MjSpec) -> None:
-    spec.visual.headlight.ambient = [0.35] * 3
-    spec.visual.headlight.diffuse = [0.35] * 3
-    spec.visual.headlight.specular = [0.0] * 3
-    spec.visual.map.znear = 0.05
-    spec.visual.map.zfar = 10
-
-
 def _add_room(world: mujoco.MjsBody) -> None:
-    world.add_light(
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        dir=[-0.5, -0.3, -0.8],
-        diffuse=[0.5] * 3,
-        specular=[0.1] * 3,
-        castshadow=False,
-    )
+    add_lamp(world, direction=(-0.5, -0.3, -0.8), diffuse=0.5)
     world.add_geom(name="table", type=_BOX, size=[1.5, 1.5, 0.05], pos=[0.5, 0, -0.05], rgba=_TABLE, **_TOUCHED)
     world.add_geom(name="wall", type=_BOX, size=[0.05, 2.5, 2], pos=[-0.6, 0, 0], rgba=_WALL, **_APART)
     board = (0.5, 0, _BOARD_HALF_M[2])
     world.add_geom(name="board", type=_BOX, size=_BOARD_HALF_M, pos=board, rgba=_BOARD, **_TOUCHED)
-    backward = np.subtract(_CAMERA_AT_M, _CAMERA_TO_M)
-    right = np.cross((0, 0, 1), backward)
-    axes = np.stack([right, np.cross(backward, right), backward], axis=1)
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, (axes / np.linalg.norm(axes, axis=0)).ravel())
-    world.add_camera(name="front", pos=_CAMERA_AT_M, quat=quaternion, fovy=_CAMERA_FOVY)
+    add_camera(world, "front", at=_CAMERA_AT_M, to=_CAMERA_TO_M, fovy=_CAMERA_FOVY)
 
 
 def _add_key(spec: mujoco.MjSpec, digit: int) -> None:

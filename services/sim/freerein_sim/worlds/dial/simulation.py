@@ -5,11 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from freerein_sim.worlds.dial import CONTROL_DT_S, RECIPES, scene
-from freerein_sim.worlds.dial.durations import Durations
-from freerein_sim.worlds.dial.expert import DialExpert
+from freerein_sim.worlds.dial import scene
 from freerein_sim.worlds.dial.keypad import DIGITS
-from freerein_sim.worlds.mujoco_world import MujocoSimulation, Scene
+from freerein_sim.worlds.dial.spec import CONTROL_DT_S
+from freerein_sim.worlds.mujoco_world import MakeWorldExpert, MujocoWorld, Scene
 from freerein_sim.worlds.world import Action, GroundTruth, StepResult, WorldSpec, check_actions, skill_indices
 
 _SUBSTEPS = round(CONTROL_DT_S / scene.TIMESTEP_S)
@@ -18,22 +17,14 @@ _START_NOISE_RAD = (0.3, 0.15, 0.15, 0.15, 0.15, 0.15)
 Vector = npt.NDArray[np.float64]
 
 
-class DialWorld:
+class DialWorld(MujocoWorld):
     """The arm and its keypad; it has no goal, and displays no recipe."""
 
-    steps = None
-
-    def __init__(self, spec: WorldSpec, built: Scene, durations: Durations) -> None:
-        self.spec = spec
-        self._durations = durations
-        self.fingerprint = built.fingerprint
-        self._simulation = simulation = MujocoSimulation(spec, built)
-        self._data = simulation.data
+    def __init__(self, spec: WorldSpec, built: Scene, make_expert: MakeWorldExpert) -> None:
+        super().__init__(spec, built, make_expert)
         self._joints = [self._data.joint(name) for name in scene.JOINTS]
         self._keys = [self._data.joint(f"key-{digit}") for digit in DIGITS]
         self._tip = self._data.site(scene.FINGERTIP)
-        self.snapshot, self.restore = simulation.snapshot, simulation.restore
-        self.render, self.close = simulation.render, simulation.close
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Draws the arm's pose near the middle of the keypad; the recipe has no effect."""
@@ -55,11 +46,6 @@ class DialWorld:
     def truth(self) -> GroundTruth:
         """Returns angles, fingertip and how far each key is pushed down; there is no goal to reach."""
         return GroundTruth(np.concatenate([self.angles, self.fingertip, self.depths]), 0.0, success=False)
-
-    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> DialExpert:
-        """Returns an expert that presses the named keys in order; without skills, two to five keys that it draws."""
-        recipe = skills or RECIPES.draw(rng, self.spec.skills, fewest=2, most=RECIPES.most)
-        return DialExpert(self, skill_indices(self.spec, recipe), rng, self._durations)
 
     @property
     def angles(self) -> Vector:

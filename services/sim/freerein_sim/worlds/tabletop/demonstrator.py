@@ -3,20 +3,20 @@
 How long an episode takes, and which share of it the reach is, are drawn first and do not depend on the task.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from freerein_sim.worlds.tabletop import HAND_STEP, OPENING_STEP_M
+from freerein.errors import InvalidInput
 from freerein_sim.worlds.tabletop.motions import Pose
 from freerein_sim.worlds.tabletop.plans import TASK_PLANS, plan_reach
 from freerein_sim.worlds.tabletop.predicates import COMPLETED
-from freerein_sim.worlds.tabletop.things import REACH, Thing
+from freerein_sim.worlds.tabletop.recipes import task_of
+from freerein_sim.worlds.tabletop.simulation import TabletopWorld
+from freerein_sim.worlds.tabletop.spec import HAND_STEP, OPENING_STEP_M
+from freerein_sim.worlds.tabletop.things import REACH, THINGS, Thing, thing_of
 from freerein_sim.worlds.world import LabelledAction
-
-if TYPE_CHECKING:
-    from freerein_sim.worlds.tabletop.simulation import TabletopWorld
 
 STEPS = (80, 100)
 REACH_SHARE = (0.15, 0.85)
@@ -25,16 +25,16 @@ _TREMOR = np.array([0.0012, 0.0012, 0.0012, 0.01, 0.01, 0.0])
 
 
 class Demonstrator:
-    """Executes a reach and then the task of a thing, using the true state.
+    """Executes a reach and then the task of a thing, that of the episode without skills, using the true state.
 
     Attributes:
         steps: Timesteps of the demonstration.
         reach_steps: Those of its reach.
     """
 
-    def __init__(self, world: "TabletopWorld", thing: Thing, rng: np.random.Generator) -> None:
+    def __init__(self, world: TabletopWorld, skills: Sequence[str], rng: np.random.Generator) -> None:
         self._world = world
-        self._thing = thing
+        self._thing = _wanted(world, skills)
         self._rng = rng
         self.steps = int(rng.integers(*STEPS, endpoint=True))
         least, most = np.ceil(REACH_SHARE[0] * self.steps), np.floor(REACH_SHARE[1] * self.steps)
@@ -65,3 +65,17 @@ class Demonstrator:
             return False
         states = np.stack(self._states)[None]
         return all(COMPLETED[skill](states)[0, -1] for skill in (REACH, self._thing.task))
+
+
+def _wanted(world: TabletopWorld, skills: Sequence[str]) -> Thing:
+    """Returns the thing that a recipe uses. Raises InvalidInput where it is not on show."""
+    task = task_of(skills)
+    thing = thing_of(task) if task else world.thing
+    shown = [each.task for each in THINGS if world.is_on_show(each)]
+    if thing.task not in shown:
+        raise InvalidInput(
+            f"The objects of the recipe must be on show; only those of {', '.join(shown)} are.",
+            field="skills",
+            hint="Reset the environment with the recipe, or leave it out.",
+        )
+    return thing

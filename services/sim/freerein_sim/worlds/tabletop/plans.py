@@ -1,13 +1,13 @@
 """Plans of the demonstrator: how the hand moves in each skill, from the true state at its beginning."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from freerein_sim.worlds.tabletop.motions import Movement, Pose
+from freerein_sim.worlds.tabletop.simulation import TabletopWorld
 from freerein_sim.worlds.tabletop.things import (
     BALL,
     BASE_HALF_M,
@@ -25,13 +25,10 @@ from freerein_sim.worlds.tabletop.things import (
     Thing,
 )
 
-if TYPE_CHECKING:
-    from freerein_sim.worlds.tabletop.simulation import TabletopWorld
-
 Point = npt.NDArray[np.float64]
 """float64 (3,) in metres."""
 
-Plan = Callable[["TabletopWorld", np.random.Generator, int], Movement]
+Plan = Callable[[TabletopWorld, np.random.Generator, int], Movement]
 """Returns the movement of a skill that is to take a number of steps."""
 
 _ROOM_M, _SQUEEZE_M = 0.03, 0.002
@@ -53,7 +50,7 @@ _PERIOD_STEPS = (10, 18)
 _TURNS, _TURNS_LEAST_STEPS, _STROKES_LEAST_STEPS = 1.3, 6.0, 4.5
 
 
-def plan_reach(world: "TabletopWorld", thing: Thing, rng: np.random.Generator, steps: int) -> Movement:
+def plan_reach(world: TabletopWorld, thing: Thing, rng: np.random.Generator, steps: int) -> Movement:
     """Goes to a thing, possibly by a detour, and closes the fingers around it at the end."""
     movement = Movement(world.set_point, rng)
     movement.rest(0.2, least=0.1)
@@ -78,7 +75,7 @@ def plan_reach(world: "TabletopWorld", thing: Thing, rng: np.random.Generator, s
     return movement
 
 
-def _pour(world: "TabletopWorld", rng: np.random.Generator, steps: int) -> Movement:
+def _pour(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movement:
     """Carries the cup to the bowl, tilts it over, and back."""
     pose, bowl = world.set_point, world.position("bowl")
     angle, radius = rng.uniform(0, 2 * np.pi), 0.4 * world.scale("bowl") * BOWL_RADIUS_M
@@ -98,7 +95,7 @@ def _pour(world: "TabletopWorld", rng: np.random.Generator, steps: int) -> Movem
     return movement
 
 
-def _stir(world: "TabletopWorld", rng: np.random.Generator, steps: int) -> Movement:
+def _stir(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movement:
     """Dips the spoon into the pot, circles, and lifts it out."""
     height, radius = world.scale("pot") * POT_HEIGHT_M, rng.uniform(0.4, 0.6) * world.scale("pot") * POT_RADIUS_M
     middle = np.add(world.position("pot"), (0, 0, rng.uniform(0.3, 0.5) * height))
@@ -123,19 +120,19 @@ def _stir(world: "TabletopWorld", rng: np.random.Generator, steps: int) -> Movem
     return movement
 
 
-def _stack(world: "TabletopWorld", rng: np.random.Generator, steps: int) -> Movement:
+def _stack(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movement:
     """Puts the block onto the other one."""
     height = world.scale("base") * BASE_HALF_M + world.scale("block") * BLOCK_HALF_M + _AIM_M
     return _put(world, BLOCK, np.add(world.position("base"), (0, 0, height)), rng)
 
 
-def _place(world: "TabletopWorld", rng: np.random.Generator, steps: int) -> Movement:
+def _place(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movement:
     """Drops the ball into the box."""
     height = world.scale("box") * BOX_HEIGHT_M + rng.uniform(0.005, 0.02)
     return _put(world, BALL, np.add(world.position("box"), (0, 0, height)), rng)
 
 
-def _wipe(world: "TabletopWorld", rng: np.random.Generator, steps: int) -> Movement:
+def _wipe(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movement:
     """Rubs the sponge over the stain, to and fro, and lifts it."""
     height = world.scale("sponge") * SPONGE_HALF_M[2] + _AIM_M
     middle = np.add(world.position("stain"), (0, 0, height))
@@ -162,7 +159,7 @@ TASK_PLANS: dict[str, Plan] = {"pour": _pour, "stir": _stir, "stack": _stack, "p
 """By skill. Each begins with its thing in the hand."""
 
 
-def _put(world: "TabletopWorld", thing: Thing, place: Point, rng: np.random.Generator) -> Movement:
+def _put(world: TabletopWorld, thing: Thing, place: Point, rng: np.random.Generator) -> Movement:
     """Carries a thing to a place, lets go of it, and withdraws."""
     pose, aim = world.set_point, (*rng.uniform(-2 * _AIM_M, 2 * _AIM_M, size=2), 0)
     down = _brought(world, world.position(thing.name), np.add(place, aim), pitch=pose[3], roll=pose[4])
@@ -178,7 +175,7 @@ def _put(world: "TabletopWorld", thing: Thing, place: Point, rng: np.random.Gene
     return movement
 
 
-def _lift(world: "TabletopWorld", rng: np.random.Generator) -> Movement:
+def _lift(world: TabletopWorld, rng: np.random.Generator) -> Movement:
     """Begins a movement by lifting what is in the hand."""
     movement = Movement(world.set_point, rng)
     lifted = world.set_point
@@ -187,7 +184,7 @@ def _lift(world: "TabletopWorld", rng: np.random.Generator) -> Movement:
     return movement
 
 
-def _brought(world: "TabletopWorld", point: Point, goal: Point, *, pitch: float, roll: float) -> Pose:
+def _brought(world: TabletopWorld, point: Point, goal: Point, *, pitch: float, roll: float) -> Pose:
     """Returns the pose at pitch and roll that brings a point, which moves with the hand, to a goal."""
     pose = world.set_point
     at, turned = world.hand

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from freerein_sim.worlds.mujoco_world import Scene, compile_scene
+from freerein_sim.worlds.scenes import add_camera, add_lamp, add_servo, new_scene
 from freerein_sim.worlds.tabletop.things import (
     BALL_RADIUS_M,
     BASE_HALF_M,
@@ -46,7 +47,6 @@ CAMERA = "front"
 _CAMERA_AT_M, _CAMERA_TARGET_M, _CAMERA_FOVY_DEG = (1.0, 0.0, 0.82), (-0.06, 0.0, 0.05), 20.5
 _TABLE_HALF_M, _PAD_HALF_M = (0.34, 0.85, 0.02), (0.5, 1.0, 0.02)
 _MASS_KG = 0.08
-_LIGHT_DIRECTION = (-0.55, 0.4, -0.8)
 _SLIDE_KP, _SLIDE_KV, _HINGE_KP, _HINGE_KV = 6000.0, 170.0, 60.0, 2.4
 _HINGE_ARMATURE, _FINGER_KP, _FINGER_KV = 0.02, 200.0, 8.0
 
@@ -71,12 +71,7 @@ def _gray(level: float) -> list[float]:
 @lru_cache(maxsize=1)
 def build() -> Scene:
     """Returns the scene. Geoms are white, darker inside things; an episode multiplies them by its gray levels."""
-    spec = mujoco.MjSpec()
-    spec.option.timestep = TIMESTEP_S
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.25] * 3
-    spec.visual.headlight.specular = [0.0] * 3
-    spec.visual.map.znear, spec.visual.map.zfar = 0.05, 20
+    spec = new_scene(timestep_s=TIMESTEP_S, ambient=0.4, diffuse=0.25, znear=0.05, zfar=20)
     spec.visual.quality.numslices, spec.visual.quality.numstacks = _SLICES, _STACKS
     _add_room(spec.worldbody)
     _add_hand(spec)
@@ -97,23 +92,11 @@ def build() -> Scene:
 
 
 def _add_room(world: mujoco.MjsBody) -> None:
-    world.add_light(
-        name="lamp",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        dir=_LIGHT_DIRECTION,
-        diffuse=[0.55] * 3,
-        specular=[0.1] * 3,
-        castshadow=False,
-    )
+    add_lamp(world, name="lamp", direction=(-0.55, 0.4, -0.8), diffuse=0.55)
     world.add_geom(name="table", type=_BOX, size=_TABLE_HALF_M, pos=[0, 0, -_TABLE_HALF_M[2]], rgba=_gray(1))
     world.add_geom(name="wall", type=_BOX, size=[0.02, 3, 2], pos=[-1.2, 0, 0], rgba=_gray(1), **_NOT_SOLID)
     world.add_geom(name="pad", type=_BOX, size=_PAD_HALF_M, pos=PAD_M - (0, 0, _PAD_HALF_M[2]), rgba=_gray(1))
-    backward = np.subtract(_CAMERA_AT_M, _CAMERA_TARGET_M)
-    right = np.cross((0, 0, 1), backward)
-    axes = np.stack([right, np.cross(backward, right), backward], axis=1)
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, (axes / np.linalg.norm(axes, axis=0)).ravel())
-    world.add_camera(name=CAMERA, pos=_CAMERA_AT_M, quat=quaternion, fovy=_CAMERA_FOVY_DEG)
+    add_camera(world, CAMERA, at=_CAMERA_AT_M, to=_CAMERA_TARGET_M, fovy=_CAMERA_FOVY_DEG)
 
 
 def _add_hand(spec: mujoco.MjSpec) -> None:
@@ -132,19 +115,14 @@ def _add_hand(spec: mujoco.MjSpec) -> None:
         finger = hand.add_body(name=f"finger.{side}", gravcomp=1)
         finger.add_joint(name=f"finger.{side}", type=slide, axis=[0, sign, 0], armature=0.05)
         finger.add_geom(type=_BOX, size=[0.037, 0.006, 0.011], pos=[-0.025, sign * 0.006, 0], mass=0.05, **_look(0.6))
-        _add_servo(spec, f"finger.{side}", kp=_FINGER_KP, kv=_FINGER_KV)
+        add_servo(spec, f"finger.{side}", kp=_FINGER_KP, kv=_FINGER_KV)
     for name in HAND_JOINTS:
         kp, kv = (_SLIDE_KP, _SLIDE_KV) if name in "xyz" else (_HINGE_KP, _HINGE_KV)
-        _add_servo(spec, name, kp=kp, kv=kv)
+        add_servo(spec, name, kp=kp, kv=kv)
 
 
 def _look(shade: float) -> dict[str, object]:
     return {"rgba": _gray(shade), **_NOT_SOLID}
-
-
-def _add_servo(spec: mujoco.MjSpec, joint: str, *, kp: float, kv: float) -> None:
-    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    servo.set_to_position(kp=kp, kv=kv)
 
 
 def _add_cup(body: mujoco.MjsBody) -> None:

@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
-from freerein_sim.worlds.mujoco_world import MujocoSimulation, Scene
-from freerein_sim.worlds.tabletop import CONTROL_DT_S, HAND_STEP, OPENING_STEP_M, appearance, initial_states, scene
-from freerein_sim.worlds.tabletop.demonstrator import Demonstrator
+from freerein_sim.worlds.mujoco_world import MakeWorldExpert, MujocoWorld, Scene
+from freerein_sim.worlds.tabletop import appearance, initial_states, scene
+from freerein_sim.worlds.tabletop.recipes import task_of
+from freerein_sim.worlds.tabletop.spec import CONTROL_DT_S, HAND_STEP, OPENING_STEP_M
 from freerein_sim.worlds.tabletop.things import (
     BASE_HALF_M,
     BLOCK_HALF_M,
@@ -22,7 +23,6 @@ from freerein_sim.worlds.tabletop.things import (
     PLACED_BODIES,
     POT_HEIGHT_M,
     POT_RADIUS_M,
-    REACH,
     SCALED,
     SPONGE_HALF_M,
     SPOON_TIP_M,
@@ -32,7 +32,7 @@ from freerein_sim.worlds.tabletop.things import (
     Thing,
     thing_of,
 )
-from freerein_sim.worlds.world import Action, GroundTruth, StepResult, WorldSpec, check_actions, skill_indices
+from freerein_sim.worlds.world import Action, GroundTruth, StepResult, WorldSpec, check_actions
 
 _SUBSTEPS = round(CONTROL_DT_S / scene.TIMESTEP_S)
 _GRASP_M = 0.025
@@ -64,34 +64,31 @@ Point = npt.NDArray[np.float64]
 """float64 (3,) in metres."""
 
 
-class TabletopWorld:
+class TabletopWorld(MujocoWorld):
     """A flying hand and things on a table.
 
     Args:
         spec: The task's spec.
+        make_expert: Makes its demonstrators.
         only_own: Whether only what a recipe's task uses is on show.
+
+    Attributes:
+        thing: What the task of the episode uses.
     """
 
-    steps = None
-
-    def __init__(self, spec: WorldSpec, *, only_own: bool) -> None:
-        self.spec = spec
-        self._only_own = only_own
+    def __init__(self, spec: WorldSpec, make_expert: MakeWorldExpert, *, only_own: bool) -> None:
         shared = scene.build()
-        self._nominal = shared.model
-        self._model = copy.copy(shared.model)
-        self._simulation = simulation = MujocoSimulation(spec, Scene(self._model, shared.fingerprint))
-        self.fingerprint = simulation.fingerprint
-        self._data = simulation.data
+        self._nominal, self._model = shared.model, copy.copy(shared.model)
+        super().__init__(spec, Scene(self._model, shared.fingerprint), make_expert)
+        self._only_own = only_own
         self._dress((appearance.LOW + appearance.HIGH) / 2)
-        self._thing = THINGS[0]
-        self.render, self.close = simulation.render, simulation.close
+        self.thing = THINGS[0]
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Draws the initial state. A recipe has an effect on it only where no more than its objects are on show."""
-        task, drawn = self._task(recipe), THINGS[int(rng.integers(len(THINGS)))]
-        self._thing = thing_of(task) if task else drawn
-        on_show = (self._thing.name, self._thing.used_on) if self._only_own else SCALED
+        task, drawn = task_of(recipe), THINGS[int(rng.integers(len(THINGS)))]
+        self.thing = thing_of(task) if task else drawn
+        on_show = (self.thing.name, self.thing.used_on) if self._only_own else SCALED
         self._simulation.reset(rng)
         self._model.eq_data[:] = self._nominal.eq_data
         self._dress(appearance.draw(rng))
@@ -154,23 +151,10 @@ class TabletopWorld:
         )
         return GroundTruth(state, 0.0, success=False)
 
-    def expert(self, skills: Sequence[str], rng: np.random.Generator) -> Demonstrator:
-        """Returns a demonstrator of a recipe; without one, of the episode's."""
-        task = self._task(skills)
-        thing = thing_of(task) if task else self._thing
-        shown = [each.task for each in THINGS if self.is_on_show(each)]
-        if thing.task not in shown:
-            raise InvalidInput(
-                f"The objects of the recipe must be on show; only those of {', '.join(shown)} are.",
-                field="skills",
-                hint="Reset the environment with the recipe, or leave it out.",
-            )
-        return Demonstrator(self, thing, rng)
-
     def snapshot(self) -> bytes:
         """Returns the episode's task, the appearance, how each thing was last held, and MuJoCo's integration state."""
-        own = (self._appearance, self._model.eq_data[:, _POSE_PART].ravel(), [THINGS.index(self._thing)])
-        return np.concatenate(own).astype("<f8").tobytes() + self._simulation.snapshot()
+        own = (self._appearance, self._model.eq_data[:, _POSE_PART].ravel(), [THINGS.index(self.thing)])
+        return np.concatenate(own).astype("<f8").tobytes() + super().snapshot()
 
     def restore(self, snapshot: bytes) -> None:
         """Restores a snapshot, after checking every number."""
@@ -186,9 +170,9 @@ class TabletopWorld:
         is_task = np.isin(task, range(len(THINGS)))
         if not all(each.all() for each in (in_range, is_near, is_turn, is_task)):
             raise _not_of_this_world()
-        self._simulation.restore(snapshot[size:])
+        super().restore(snapshot[size:])
         self._dress(drawn)
-        self._thing = THINGS[int(task[0])]
+        self.thing = THINGS[int(task[0])]
         self._model.eq_data[:, _POSE_PART] = poses
         self._simulation.refresh()
 
@@ -231,17 +215,6 @@ class TabletopWorld:
     def is_on_show(self, thing: Thing) -> bool:
         """Returns whether a thing is on the table, not on the pad."""
         return bool(self.position(thing.name)[0] > _ON_SHOW_M)
-
-    def _task(self, recipe: Sequence[str]) -> str:
-        """Returns the skill that follows the reach, empty for an empty recipe. Raises InvalidInput for any other."""
-        skill_indices(self.spec, recipe)
-        if recipe and not (len(recipe) == 2 and recipe[0] == REACH and recipe[1] != REACH):
-            raise InvalidInput(
-                f"A recipe of this world is {REACH} and then one other skill; got {', '.join(recipe)}.",
-                field="skills",
-                hint="Leave the recipe out for any.",
-            )
-        return recipe[-1] if recipe else ""
 
     def _dress(self, drawn: appearance.Appearance) -> None:
         self._appearance, self._scales = drawn, appearance.scales(drawn)
