@@ -65,7 +65,7 @@ async def waiting(batcher: Batcher[int, int], *items: int, key: str = "") -> "li
 async def test_a_lone_item_runs_at_once_and_alone(batcher: Batcher[int, int]) -> None:
     done = await batcher.submit(21, timeout_s=60)
     assert (done.output, done.batch_size) == (42, 1)
-    assert 0 <= done.queue_ns < 60e9
+    assert time.perf_counter_ns() - done.submitted_ns < 60e9
     assert 0 < done.infer_ns < 60e9
 
 
@@ -139,7 +139,8 @@ async def test_one_poisonous_item_fails_alone(batcher: Batcher[int, int], model:
     calls = await waiting(batcher, 1, 13, 7)
     model.gate.set()
     results = await asyncio.gather(*calls, return_exceptions=True)
-    assert results[0] == BatchResult(2, results[0].queue_ns, results[0].infer_ns, 3)  # type: ignore[union-attr]
+    assert isinstance(results[0], BatchResult)
+    assert (results[0].output, results[0].batch_size) == (2, 1)
     assert isinstance(results[1], ModelFault)
     assert "0x" not in results[1].detail
     assert type(results[2]) is InvalidInput

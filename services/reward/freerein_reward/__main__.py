@@ -26,8 +26,7 @@ from freerein_reward.core import (
     GroundingCore,
     GroundingModel,
     Inference,
-    InferenceItem,
-    InferenceOutput,
+    InferenceBatcher,
     RewardCore,
     RewardModel,
 )
@@ -53,7 +52,7 @@ def build(
     torch.set_num_threads(1)  # more would compete with the fit
     grounding = _grounding_folder(open_store(NAME, settings))
     goals = GoalCache(settings.goal_cache_bytes)
-    batcher: Batcher[InferenceItem, InferenceOutput] = Batcher(
+    batcher: InferenceBatcher = Batcher(
         Inference(goals).run, queue=settings.queue, batch=limits.batch, metrics=metrics, call_s=limits.unary_s
     )
     return learned_service(

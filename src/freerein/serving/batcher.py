@@ -28,10 +28,13 @@ _HANGS_AFTER_CALLS = 4.0
 
 @dataclass(frozen=True)
 class BatchResult(Generic[O]):
-    """The model's output for one item, its nanoseconds in the queue and in the model, and the items in that call."""
+    """The output for one item, when it was submitted, nanoseconds in the model, and the items in that call of it.
+
+    `submitted_ns` is on the clock of `time.perf_counter_ns`.
+    """
 
     output: O
-    queue_ns: int
+    submitted_ns: int
     infer_ns: int
     batch_size: int
 
@@ -43,7 +46,7 @@ class _QueuedItem(Generic[I, O]):
     deadline: float
     future: "asyncio.Future[BatchResult[O]]"
     results: ThreadResults[BatchResult[O]]
-    since_ns: int
+    submitted_ns: int
 
     def resolve(self, result: "BatchResult[O] | ServiceError") -> None:
         self.results.put(self.future, result)
@@ -139,9 +142,7 @@ class Batcher(Generic[I, O]):
         """Refuses queued items and ends the thread after its current batch; abandons a thread that hangs."""
         with self._lock:
             self._closed = True
-            for queued in self._queue:
-                queued.resolve(_closed_error())
-            self._queue.clear()
+            self._refuse_queued()
             self._wake_thread()
         self._thread.join(_CLOSE_TIMEOUT_S)
 
@@ -149,6 +150,11 @@ class Batcher(Generic[I, O]):
         """Returns for how many seconds the current model call has run, 0 when there is none."""
         began = self._call_began
         return 0.0 if began is None else time.monotonic() - began
+
+    def _refuse_queued(self) -> None:
+        """Refuses all queued items; `_lock` is held."""
+        while self._queue:
+            self._queue.popleft().resolve(_closed_error())
 
     def _remove(self, queued: "_QueuedItem[I, O]") -> None:
         with self._lock:
@@ -162,18 +168,33 @@ class Batcher(Generic[I, O]):
 
     def _work(self) -> None:
         while batch := self._next_batch():
-            started_ns = time.perf_counter_ns()
-            outputs = self._run([queued.item for queued in batch])
-            infer_ns = time.perf_counter_ns() - started_ns
             self._metrics.batches.observe(len(batch))
-            for queued, output in zip(batch, outputs, strict=True):
-                if isinstance(output, ServiceError):
-                    queued.results.put(queued.future, output)
-                else:
-                    result = BatchResult(output, started_ns - queued.since_ns, infer_ns, len(batch))
-                    queued.results.put(queued.future, result)
-            for results in {queued.results for queued in batch}:  # of one event loop, as a rule
-                results.send()
+            started_ns, self._call_began = time.perf_counter_ns(), time.monotonic()
+            try:
+                outputs = self._call([queued.item for queued in batch])
+                if len(outputs) != len(batch):
+                    raise ValueError(f"the model returned {len(outputs)} outputs for {len(batch)} items")
+            except Exception:  # whatever a model raises is a fault of the model
+                _log.exception("the model failed", extra={"batch_size": len(batch)})
+                self._fail(batch)
+            else:
+                self._faults = 0
+                _answer(batch, outputs, infer_ns=time.perf_counter_ns() - started_ns)
+            finally:
+                self._call_began = None
+
+    def _fail(self, batch: list[_QueuedItem[I, O]]) -> None:
+        """Has each item of a batch run again alone, so that only the faulty ones fail; fails one that was alone."""
+        if len(batch) == 1:
+            self._faults += 1
+            batch[0].resolve(ModelFault("The model failed on this input; the log holds the cause.", hint="Report it."))
+            return
+        for queued in batch:
+            queued.key = object()
+        with self._lock:
+            self._queue.extendleft(reversed(batch))
+            if self._closed:
+                self._refuse_queued()
 
     def _next_batch(self) -> list[_QueuedItem[I, O]]:
         """Waits for items and returns the next batch; empty when closed."""
@@ -194,27 +215,15 @@ class Batcher(Generic[I, O]):
             batch.append(self._queue.popleft())
         return batch
 
-    def _run(self, items: list[I]) -> Sequence[O | ServiceError]:
-        """Calls the model. When it raises, calls it again for each item alone, so that only the faulty item fails."""
-        try:
-            outputs = self._timed_call(items)
-            if len(outputs) != len(items):
-                raise ValueError(f"the model returned {len(outputs)} outputs for {len(items)} items")
-        except Exception:  # whatever a model raises is a fault of the model
-            _log.exception("the model failed", extra={"batch_size": len(items)})
-            if len(items) > 1:
-                return [self._run([item])[0] for item in items]
-            self._faults += 1
-            return [ModelFault("The model failed on this input; the log holds the cause.", hint="Report it.")]
-        self._faults = 0
-        return outputs
 
-    def _timed_call(self, items: list[I]) -> Sequence[O | ServiceError]:
-        self._call_began = time.monotonic()
-        try:
-            return self._call(items)
-        finally:
-            self._call_began = None
+def _answer(batch: "list[_QueuedItem[I, O]]", outputs: Sequence[O | ServiceError], *, infer_ns: int) -> None:
+    for queued, output in zip(batch, outputs, strict=True):
+        if isinstance(output, ServiceError):
+            queued.results.put(queued.future, output)
+        else:
+            queued.results.put(queued.future, BatchResult(output, queued.submitted_ns, infer_ns, len(batch)))
+    for results in {queued.results for queued in batch}:  # of one event loop, as a rule
+        results.send()
 
 
 def _closed_error() -> Unavailable:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import structlog
 
+from freerein.atomic_files import OUT_OF_FILES, out_of_files, storage_errors
 from freerein.errors import Cancelled, Internal, ServiceError
 from freerein.serving.error_replies import internal_error
 from freerein.serving.metrics import Metrics
@@ -30,6 +31,18 @@ class CallRecord:
     code: str = OK
 
 
+@contextmanager
+def machine_errors() -> Iterator[None]:
+    """Turns the errors of a disk into `OutOfStorage`, and too many open files into `Unavailable`."""
+    with storage_errors():
+        try:
+            yield
+        except OSError as error:
+            if error.errno not in OUT_OF_FILES:
+                raise
+            raise out_of_files() from error
+
+
 class CallRecorder:
     """Records the calls of one method over one protocol; of a stream no latency, but whether it is open."""
 
@@ -44,7 +57,7 @@ class CallRecorder:
 
     @contextmanager
     def record(self, request_id: str) -> Iterator[CallRecord]:
-        """Records the call that the block answers, by the error that ends it.
+        """Records the call that the block answers, by the error that ends it; `machine_errors` become `ServiceError`s.
 
         Raises:
             Internal: In place of an unexpected exception, which is logged.
@@ -54,7 +67,8 @@ class CallRecorder:
             gauge.inc()
         bound = structlog.contextvars.bind_contextvars(request_id=request_id)
         try:
-            yield call
+            with machine_errors():
+                yield call
         except ServiceError as error:
             call.code = error.code
             raise

@@ -24,12 +24,10 @@ class CallTimer:
         self._decode_ns += time.perf_counter_ns() - start_ns
         return result
 
-    async def infer(self, work: Awaitable[BatchResult[T]]) -> T:
-        """Awaits the batcher and returns the model's output."""
-        start_ns = time.perf_counter_ns()
-        done = await work
+    def output(self, done: BatchResult[T]) -> T:
+        """Returns the model's output, which has just arrived."""
         self._infer_ns += done.infer_ns
-        self._queue_ns += time.perf_counter_ns() - start_ns - done.infer_ns
+        self._queue_ns += time.perf_counter_ns() - done.submitted_ns - done.infer_ns
         self._batch_size = max(self._batch_size, done.batch_size)
         return done.output
 

@@ -6,18 +6,14 @@ message and returns the dataclass of its response message. Over REST it is `/v1/
 streams are gRPC only.
 """
 
-import functools
-import inspect
 import re
-from collections.abc import AsyncIterator, Iterator, Sequence
-from contextlib import aclosing, contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from google.protobuf.descriptor import MethodDescriptor, ServiceDescriptor
 
 from freerein import wire
-from freerein.atomic_files import OUT_OF_FILES, out_of_files, storage_errors
 from freerein.errors import ServiceError
 
 _READ_PREFIXES = ("List", "Get", "Watch")
@@ -106,7 +102,7 @@ def methods_of(service: ServiceDescriptor, *cores: object) -> tuple[Method, ...]
             descriptor=descriptor,
             request=wire.dataclass_of(descriptor.input_type),
             response=wire.dataclass_of(descriptor.output_type),
-            call=_guarded(_find(_split_words(descriptor.name, "_"), cores)),
+            call=_find(_split_words(descriptor.name, "_"), cores),
         )
         for descriptor in service.methods
     )
@@ -122,38 +118,6 @@ def _find(name: str, cores: Sequence[object]) -> Any:
         if hasattr(core, name):
             return getattr(core, name)
     raise LookupError(f"no core has a method {name}")
-
-
-@contextmanager
-def _machine_errors() -> Iterator[None]:
-    """Turns the errors of a disk into `OutOfStorage`, and too many open files into `Unavailable`."""
-    with storage_errors():
-        try:
-            yield
-        except OSError as error:
-            if error.errno not in OUT_OF_FILES:
-                raise
-            raise out_of_files() from error
-
-
-def _guarded(call: Any) -> Any:
-    """Returns a core's method whose errors of a disk, and of too many open files, are `ServiceError`s."""
-
-    @functools.wraps(call)
-    async def reply(request: Any) -> Any:
-        with _machine_errors():
-            return await call(request)
-
-    @functools.wraps(call)
-    async def stream(request: Any) -> AsyncIterator[Any]:
-        with _machine_errors():
-            async with aclosing(call(request)) as responses:
-                async for response in responses:
-                    yield response
-
-    if inspect.iscoroutinefunction(call):
-        return reply
-    return stream if inspect.isasyncgenfunction(call) else call
 
 
 def _split_words(name: str, separator: str) -> str:

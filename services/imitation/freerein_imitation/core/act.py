@@ -48,25 +48,8 @@ class ActService:
         model, policy = await self._models.resolve(request.model)
         limit, resize = request.max_steps_per_goal, request.resize
         context = await ActContext.create(model, policy, request.goal, max_steps=limit, resize=resize)
-        session = PolicySession(context, self._batcher, state=request.state, timeout_s=self._timeout_s)
-        result, timing = await session.act(
-            request.observation,
-            request.executed_actions,
-            elapsed=elapsed_steps(request.executed_actions),
-            arrived_ns=start_ns,
-            decode_ns=time.perf_counter_ns() - start_ns,
-        )
-        return ActResponse(
-            actions=result.actions,
-            done=result.done,
-            done_by=result.done_by,
-            goal_reached=result.reached,
-            goal_confidence=result.confidence,
-            goal_index=result.state.goal_index,
-            goal_abandoned=result.state.abandoned,
-            in_distribution=result.in_distribution,
-            state=session.state,
-            model=model,
-            timing=timing,
-            resized=session.resized,
-        )
+        session = PolicySession(context, state=request.state)
+        executed = request.executed_actions
+        parsed = await session.parse(request.observation, executed, elapsed=elapsed_steps(executed))
+        done = await self._batcher.submit(parsed, key=model, timeout_s=self._timeout_s)
+        return ActResponse(**session.answer(done, arrived_ns=start_ns), state=session.state, model=model)

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import time
 from collections.abc import AsyncIterator
 from dataclasses import replace
 
@@ -93,32 +94,24 @@ class _ControlSession:
     def __init__(self, spec: GetSpecResponse, context: ActContext, hello: Hello, batcher: PolicyBatcher) -> None:
         self.spec = spec
         self._valid_for_s = hello.valid_for_s or (spec.horizon + 2) * spec.control_dt_s
-        self._policy = PolicySession(context, batcher, state=hello.state, timeout_s=self._valid_for_s)
+        self._batcher = batcher
+        self._model = context.model
+        self._policy = PolicySession(context, state=hello.state)
 
     async def act(self, pending: PendingObservation, queue: ControlQueue) -> ControlResponse:
         """Returns the chunk for an observation, or its error, which leaves the policy state unchanged."""
-        observed = pending.observed
+        observed, decoding_ns = pending.observed, time.perf_counter_ns()
         try:
-            result, timing = await self._policy.act(
-                observed.observation, observed.executed_actions, elapsed=pending.elapsed, arrived_ns=pending.arrived_ns
-            )
+            parsed = await self._policy.parse(observed.observation, observed.executed_actions, elapsed=pending.elapsed)
+            done = await self._batcher.submit(parsed, key=self._model, timeout_s=self._valid_for_s)
         except ServiceError as error:
             return _error(observed.seq, error)
         chunk = Chunk(
-            actions=result.actions,
-            done=result.done,
-            done_by=result.done_by,
-            goal_reached=result.reached,
-            goal_confidence=result.confidence,
-            goal_index=result.state.goal_index,
-            goal_abandoned=result.state.abandoned,
-            in_distribution=result.in_distribution,
+            **self._policy.answer(done, arrived_ns=pending.arrived_ns, decoding_ns=decoding_ns),
             state=self._policy.state,
             observation_time_ns=observed.observation_time_ns,
             valid_until_ns=min(observed.observation_time_ns + round(self._valid_for_s * 1e9), _LAST_NS),
             dropped=queue.dropped,
-            timing=timing,
-            resized=self._policy.resized,
         )
         return ControlResponse(seq=observed.seq, chunk=chunk)
 

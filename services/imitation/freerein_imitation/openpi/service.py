@@ -117,32 +117,18 @@ class OpenpiConnection:
         message = parse_observation(self._policy.spec, await read(data), resizes=resizes)
         session = await self._session_of(message)
         executed = self._proposed if message.executed_actions is None else message.executed_actions
-        result, timing = await session.act(
-            message.observation,
-            executed,
-            elapsed=elapsed_steps(executed),
-            arrived_ns=arrived_ns,
-            decode_ns=time.perf_counter_ns() - arrived_ns,
-        )
-        self._proposed = result.actions[: self._query.action_horizon or None]
+        parsed = await session.parse(message.observation, executed, elapsed=elapsed_steps(executed))
+        done = await self._batcher.submit(parsed, key=self._model, timeout_s=self._timeout_s)
+        reply = session.answer(done, arrived_ns=arrived_ns)
+        self._proposed = reply["actions"][: self._query.action_horizon or None]
         if executed is not None and len(executed):
             self._last_action = executed[-1]
-        return pack(
-            {
-                "actions": result.actions if len(result.actions) else self._hold(),
-                "done": result.done,
-                "done_by": result.done_by,
-                "goal_reached": result.reached,
-                "goal_confidence": result.confidence,
-                "goal_index": result.state.goal_index,
-                "goal_abandoned": result.state.abandoned,
-                "in_distribution": result.in_distribution,
-                "model": asdict(self._model),
-                "timing": asdict(timing),
-                **({"resized": session.resized} if resizes else {}),
-                **({"note": message.note} if message.note else {}),
-            }
-        )
+        if not len(reply["actions"]):
+            reply["actions"] = self._hold()
+        if not resizes:
+            del reply["resized"]
+        note = {"note": message.note} if message.note else {}
+        return pack({**reply, "model": asdict(self._model), "timing": asdict(reply["timing"]), **note})
 
     async def pursue(self, goal: Goal) -> None:
         """Starts towards a goal, unless it is the current one.
@@ -177,7 +163,7 @@ class OpenpiConnection:
         if message.reset:
             self._last_action = None
         if self._session is None or message.reset:
-            self._session = PolicySession(self._context, self._batcher, timeout_s=self._timeout_s)
+            self._session = PolicySession(self._context)
             self._proposed = None
         return self._session
 

@@ -1,11 +1,10 @@
 """`GroundingCore`: locates noun phrases in images, and captions images with spatial relations."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Awaitable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import permutations
-from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +13,7 @@ import PIL.Image
 from freerein.errors import InvalidInput
 from freerein.goal_text import Grammar
 from freerein.relations import SpatialRelation, caption
-from freerein.serving.batcher import Batcher
+from freerein.serving.batcher import BatchResult
 from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
@@ -28,7 +27,7 @@ from freerein.types.reward import (
     UnknownPhrase,
 )
 from freerein_reward.core import inputs
-from freerein_reward.core.inference import GroundItem, InferenceItem, InferenceOutput
+from freerein_reward.core.inference import GroundItem, InferenceBatcher
 from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
 from freerein_reward.model import GROUNDING, KNOWN, PhraseLocations
 from freerein_reward.training.caption_dataset import NO_CAPTION, pairwise_relations
@@ -44,7 +43,7 @@ class GroundingCore:
     """Core of the RPCs `Ground` and `Describe`."""
 
     models: ModelCache[RewardModel | GroundingModel]
-    batcher: Batcher[InferenceItem, InferenceOutput]
+    batcher: InferenceBatcher
     timeout_s: float
 
     async def ground(self, request: GroundRequest) -> GroundResponse:
@@ -61,7 +60,7 @@ class GroundingCore:
         ref, model = await self._resolve(request.model)
         decode = partial(inputs.decode_image, request.image, model.preprocess, phrases=len(request.phrases))
         image, size = await timer.decode(asyncio.to_thread(decode))
-        found = await self._locate(model, image, request.phrases, timer)
+        found = timer.output(await self._submit(GroundItem(model, image, request.phrases)))
         groundings = await asyncio.to_thread(_groundings, found, request.phrases, size)
         unknown = await asyncio.to_thread(_unknown, model.grammar, request.phrases, found.known)
         return GroundResponse(groundings, ref, timer.timing(), *unknown)
@@ -83,7 +82,7 @@ class GroundingCore:
             stop = min(start + _IMAGES_AT_ONCE, len(frames))
             decode = partial(inputs.shaped_inputs, frames, model.preprocess, start=start, stop=stop)
             images, aspects = await timer.decode(asyncio.to_thread(decode))
-            found = await self._locate(model, images, request.phrases, timer)
+            found = timer.output(await self._submit(GroundItem(model, images, request.phrases)))
             descriptions += map(Description, captions(found, request.phrases, epsilon=epsilon, aspects=aspects))
             known = found.known  # alike in all parts
         unknown = await asyncio.to_thread(_unknown, model.grammar, request.phrases, known)
@@ -95,13 +94,9 @@ class GroundingCore:
             raise wrong_kind(ref, got="reward", expected="grounding")
         return ref, model
 
-    async def _locate(
-        self, model: GroundingModel, images: npt.NDArray[np.uint8], phrases: tuple[str, ...], timer: CallTimer
-    ) -> PhraseLocations:
+    def _submit(self, item: GroundItem) -> Awaitable[BatchResult[PhraseLocations]]:
         """Locates phrases in a few images, in a batch of their own."""
-        item = GroundItem(model, images, phrases)
-        done = self.batcher.submit(item, key=object(), timeout_s=self.timeout_s)
-        return cast(PhraseLocations, await timer.infer(done))
+        return self.batcher.submit(item, key=object(), timeout_s=self.timeout_s)
 
 
 def captions(

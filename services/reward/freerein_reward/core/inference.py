@@ -3,12 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import OutputNotFinite, ServiceError
+from freerein.serving.batcher import Batcher
 from freerein.types.common import ModelRef
 from freerein_reward.core.goal_cache import GoalCache, GoalEmbedding
 from freerein_reward.core.models import GroundingModel, RewardModel
@@ -45,6 +46,7 @@ class GroundItem:
 
 InferenceItem: TypeAlias = ScoreItem | GroundItem
 InferenceOutput: TypeAlias = Scores | PhraseLocations
+InferenceBatcher: TypeAlias = Batcher[InferenceItem, Any]
 
 
 class Inference:

@@ -1,22 +1,21 @@
 """`RewardCore`: rewards of frames against a goal text, and embeddings of goal texts."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Awaitable, Mapping
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein.goal_text import GoalText, Grammar
-from freerein.serving.batcher import Batcher
+from freerein.serving.batcher import BatchResult
 from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, EmbedGoalResponse, RewardRequest, RewardResponse
 from freerein_reward.core.goal_cache import GoalCache
-from freerein_reward.core.inference import InferenceItem, InferenceOutput, ScoreItem, Scores
+from freerein_reward.core.inference import InferenceBatcher, ScoreItem, Scores
 from freerein_reward.core.inputs import (
     FrameSequence,
     check_distinct,
@@ -35,7 +34,7 @@ class RewardCore:
     """Core of the RPCs `Reward` and `EmbedGoal`."""
 
     models: ModelCache[RewardModel | GroundingModel]
-    batcher: Batcher[InferenceItem, InferenceOutput]
+    batcher: InferenceBatcher
     goals: GoalCache
     timeout_s: float
 
@@ -54,13 +53,13 @@ class RewardCore:
         check_rivals(request.rivals)
         ref, model = await self._resolve(request.model, allow_grounding=request.mode == "raw")
         goal, texts, frames = await timer.decode(asyncio.to_thread(_decode, request, model))
-        parts = []
+        parts: list[Scores] = []
         count = len(frames[model.cameras[0]])
         for start in range(0, count, _FRAMES_AT_ONCE):
             stop = min(start + _FRAMES_AT_ONCE, count)
             views = await timer.decode(asyncio.to_thread(_views, frames, model, start, stop))
             key = ref if count == 1 else object()  # single frames share a batch with those of other requests
-            parts.append(await self._infer(ScoreItem(ref, model, texts, views), key, timer))
+            parts.append(timer.output(await self._submit(ScoreItem(ref, model, texts, views), key)))
         similarities = np.concatenate([part.similarities for part in parts])  # (N, K)
         winners = _winners(similarities, is_known=not goal.unknown)
         return RewardResponse(
@@ -86,7 +85,7 @@ class RewardCore:
         goal = model.grammar.read(request.goal_text)
         found = self.goals.find(ref, goal.text)
         if found is None:
-            (found,) = (await self._infer(ScoreItem(ref, model, (goal.text,)), ref, timer)).goals
+            (found,) = timer.output(await self._submit(ScoreItem(ref, model, (goal.text,)), ref)).goals
         return EmbedGoalResponse(
             embedding=found.vector,
             truncated=found.truncated,
@@ -102,8 +101,8 @@ class RewardCore:
             raise wrong_kind(ref, got="grounding", expected="reward")
         return ref, model
 
-    async def _infer(self, item: ScoreItem, key: object, timer: CallTimer) -> Scores:
-        return cast(Scores, await timer.infer(self.batcher.submit(item, key=key, timeout_s=self.timeout_s)))
+    def _submit(self, item: ScoreItem, key: object) -> Awaitable[BatchResult[Scores]]:
+        return self.batcher.submit(item, key=key, timeout_s=self.timeout_s)
 
 
 def _decode(

@@ -46,8 +46,8 @@ class DualEncoderModel:
         stacked = np.stack([views[camera] for camera in self.cameras], axis=1)  # (N, V, H, W, 3)
         parts = torch.split(torch.from_numpy(stacked), _IMAGES_AT_ONCE)
         seen = [part.to(self.network.device) for part in parts]
-        vectors = torch.cat([self.network.embed_images(part) for part in seen])
-        distances = torch.cat([self.network.distance(part) for part in seen])
+        vectors = torch.cat(list(map(self.network.embed_images, seen)))
+        distances = torch.cat(list(map(self.network.distance, seen)))
         return ImageEmbeddings(vectors.cpu().numpy(), distances.cpu().numpy())
 
     @torch.inference_mode()

@@ -132,17 +132,18 @@ class _Session:
             return _error(seq, refused)
         step = StreamStep(self._predictions, frames, actions)
         try:
-            final, provisional = await timer.infer(self._batcher.submit(step, key=self, timeout_s=self._timeout_s))
+            done = await self._batcher.submit(step, key=self, timeout_s=self._timeout_s)
         except (Overloaded, DeadlineExceeded) as refused:  # before the model has seen it
             return _error(seq, refused)
+        final, provisional = timer.output(done)
         labels = _labels(self._decoder.push(final), self._decoder.provisional(provisional), timer)
         return SegmentStreamResponse(seq, labels=labels)
 
     async def end(self) -> SegmentStreamResponse:
         """Returns all labels that are left."""
         timer = CallTimer()
-        work = self._batcher.submit(StreamEnd(self._predictions), key=self, timeout_s=self._timeout_s)
-        finished = self._decoder.finish(await timer.infer(work))
+        done = await self._batcher.submit(StreamEnd(self._predictions), key=self, timeout_s=self._timeout_s)
+        finished = self._decoder.finish(timer.output(done))
         return SegmentStreamResponse(labels=_labels(finished, finished.timeline.labels[:0], timer))
 
     def _check_seq(self, seq: int) -> ServiceError | None:

@@ -81,7 +81,7 @@ class Segmenter:
             prediction, time_s = await self._predict_video(ref, model, replace(request, fps=fps), timer)
         else:
             frames, actions = await timer.decode(read_timesteps(model, request))
-            prediction = await timer.infer(self._submit(WholeTrajectory(model, frames, actions), ref))
+            prediction = timer.output(await self._submit(WholeTrajectory(model, frames, actions), ref))
         labels, confidence, segments = await asyncio.to_thread(
             decoding.decode,
             prediction.probabilities,
@@ -111,11 +111,11 @@ class Segmenter:
                 did = None if actions is None else actions[at]
                 if did is not None and len(did) < len(chunk.frames):
                     break
-                parts.append(await timer.infer(self._submit(Encoding(model, chunk.frames, did), ref)))
+                parts.append(timer.output(await self._submit(Encoding(model, chunk.frames, did), ref)))
                 times.append(chunk.time_s)
         if actions is not None and len(actions) != count:
             raise _unequal(len(actions), count, request.fps)
-        return await timer.infer(self._submit(EncodedTrajectory(model, parts), ref)), np.concatenate(times)
+        return timer.output(await self._submit(EncodedTrajectory(model, parts), ref)), np.concatenate(times)
 
     def _submit(self, work: Work, ref: ModelRef) -> Awaitable[BatchResult[Any]]:
         return self.batcher.submit(work, key=ref, timeout_s=self.timeout_s)

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from contextlib import AsyncExitStack, aclosing
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager, suppress
 from dataclasses import replace
 from typing import Any, cast
 
@@ -17,7 +17,7 @@ from starlette.types import Receive, Scope, Send
 
 from freerein import wire
 from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, ServiceError
-from freerein.serving.call_recorder import OTHER, CallRecorder
+from freerein.serving.call_recorder import OTHER, CallRecorder, machine_errors
 from freerein.serving.error_replies import problem_document, problem_headers
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits, Slots
@@ -128,7 +128,9 @@ def _unary(method: Method, limits: Limits) -> _Endpoint:
         else:
             message = await body.read(request, method.request)
         write = _writer(request, method)
-        return await write(await _unless_disconnected(request, method.call(message), limits.unary_s))
+        async with _while_connected(request, limits.unary_s):
+            response = await method.call(message)
+        return await write(response)
 
     return answer
 
@@ -177,7 +179,8 @@ def _stream(method: Method, limits: Limits, slots: Slots) -> _Endpoint:
             items = await resources.enter_async_context(aclosing(method.call(message)))
             heard = await resources.enter_async_context(aclosing(_with_silences(items, silence_s)))
             # awaited before the reply begins, so that an unknown id is a 404, not a broken stream
-            first = await _unless_disconnected(request, anext(heard, None), None)
+            async with _while_connected(request):
+                first = await anext(heard, None)
             media_type, headers = MEDIA_TYPES[method.rest_form], _UNBUFFERED if is_events else {}
             if request.method == "HEAD":
                 return Response(media_type=media_type, headers=headers)
@@ -195,11 +198,13 @@ async def _with_silences(items: AsyncIterator[Any], silence_s: float | None) -> 
             await asyncio.wait({item}, timeout=silence_s)
             if not item.done():
                 yield _SILENCE
-            elif (found := item.result()) is not None:
-                yield found
-                item = asyncio.ensure_future(anext(items, None))
-            else:
+                continue
+            with machine_errors():  # Starlette takes any other error of the system for a client that has left
+                found = item.result()
+            if found is None:
                 return
+            yield found
+            item = asyncio.ensure_future(anext(items, None))
     finally:
         item.cancel()
         await asyncio.gather(item, return_exceptions=True)  # a generator must not be closed while it runs
@@ -234,24 +239,31 @@ def _encode_part(item: Any) -> bytes:
     return cast(bytes, item.data)
 
 
-async def _unless_disconnected(request: Request, call: Awaitable[Any], timeout_s: float | None) -> Any:
-    """Returns the result of a call; cancels it when the client disconnects or the time is up."""
-    work = asyncio.ensure_future(call)
+@asynccontextmanager
+async def _while_connected(request: Request, timeout_s: float | None = None) -> AsyncIterator[None]:
+    """Cancels the block when the client disconnects or the time is up, which are then errors."""
     gone = asyncio.ensure_future(_disconnected(request))
+
+    def end_now(_: object) -> None:
+        with suppress(RuntimeError):  # it has ended meanwhile
+            deadline.reschedule(0)
+
     try:
-        await asyncio.wait({work, gone}, timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
-        if work.done():
-            return work.result()
+        async with asyncio.timeout(timeout_s) as deadline:
+            gone.add_done_callback(end_now)
+            yield
+    except TimeoutError:
+        if not deadline.expired():
+            raise
         if gone.done():
             gone.result()  # raises when the request's body is over a limit
-            raise Cancelled("The client disconnected before the reply.")
+            raise Cancelled("The client disconnected before the reply.") from None
         raise DeadlineExceeded(
             f"The reply was due within {timeout_s:g} s; it was not ready.", hint="Send less per call."
-        )
+        ) from None
     finally:
-        work.cancel()
         gone.cancel()
-        await asyncio.gather(work, gone, return_exceptions=True)  # a generator must not be closed while it runs
+        await asyncio.gather(gone, return_exceptions=True)
 
 
 async def _disconnected(request: Request) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from freerein.atomic_files import OUT_OF_FILES, out_of_files
 from freerein.errors import (
     Cancelled,
     MalformedRequest,
@@ -20,7 +19,7 @@ from freerein.serving import auth
 from freerein.serving.call_recorder import CallRecorder
 from freerein.serving.error_replies import problem_document, problem_headers
 from freerein.serving.limits import COPIES, Limits
-from freerein.serving.memory import Memory
+from freerein.serving.memory import Memory, Share
 from freerein.serving.rest import docs_page
 from freerein.serving.rest.origin_policy import OriginPolicy
 
@@ -69,9 +68,10 @@ class RequestMiddleware:
         reply = _Reply(send, request_id)
         recorder = self._recorders.get(scope["path"], self._other)
         try:
-            with recorder.record(request_id) as call:
+            with recorder.record(request_id) as call, self._memory.share() as share:
                 self._check_headers(scope, headers)
-                await self._run_app(scope, receive, reply)
+                scope[SHARE] = share
+                await self._app(scope, self._bounded(receive, scope, share), reply)
                 call.code = scope.get("freerein.code", call.code if reply.is_complete else Cancelled.code)
         except ServiceError as error:
             await reply.problem(error)
@@ -107,8 +107,8 @@ class RequestMiddleware:
         if scope["method"] in ("GET", "HEAD") and (int(length[:20]) or "transfer-encoding" in headers):
             raise MalformedRequest("A request by GET must have no body; it has one.", hint="Send values in the query.")
 
-    async def _run_app(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Runs the app; receiving the body raises an error as soon as a size limit is exceeded, or it is late."""
+    def _bounded(self, receive: Receive, scope: Scope, share: Share) -> Receive:
+        """Returns a `receive` that raises an error as soon as the body exceeds a size limit, or is late."""
         received = 0
 
         async def bounded_receive() -> Message:
@@ -123,14 +123,7 @@ class RequestMiddleware:
             share.take(COPIES * size)
             return message
 
-        with self._memory.share() as share:
-            scope[SHARE] = share
-            try:
-                await self._app(scope, bounded_receive, send)
-            except OSError as error:
-                if error.errno not in OUT_OF_FILES:
-                    raise
-                raise out_of_files() from None
+        return bounded_receive
 
     def _too_large(self) -> TooLarge:
         return TooLarge(
