@@ -21,7 +21,7 @@ from freerein_orchestrator.envs.episodes import Episode
 from freerein_orchestrator.envs.policies import PolicyHandle, PolicyOutput
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.distill.rollouts import relabelled
-from freerein_orchestrator.rl.state import init_network
+from freerein_orchestrator.rl.initial_network import init_network
 
 pytestmark = pytest.mark.e2e
 SPEC = ActorCriticSpec(height=33, width=30, channels=3, action_choices=5, feature_size=8, hidden_size=8)

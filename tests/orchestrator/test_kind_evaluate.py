@@ -15,7 +15,7 @@ from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.actor_critic.policy_files import save_policy
 from freerein.video.reader import open_video
 from freerein_orchestrator.kinds import KINDS
-from freerein_orchestrator.rl.state import init_network
+from freerein_orchestrator.rl.initial_network import init_network
 
 pytestmark = pytest.mark.e2e
 RANDOM = {"task": "grid", "policy": "random", "episodes": 4, "num_envs": 2, "seed": 1}

@@ -9,8 +9,8 @@ from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.actor_critic.policy_files import load_policy, save_policy
+from freerein_orchestrator.rl.initial_network import init_network
 from freerein_orchestrator.rl.network_policy import NetworkPolicy
-from freerein_orchestrator.rl.state import init_network
 
 FRAMES = np.random.default_rng(0).integers(256, size=(3, 2, 12, 12, 1), dtype=np.uint8)
 START, CONTINUE = np.ones(2, np.bool_), np.zeros(2, np.bool_)

@@ -11,7 +11,7 @@ from freerein.learning.actor_critic.policy_files import load_policy, save_policy
 from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_orchestrator.kinds.context import RunContext
-from freerein_orchestrator.rl.state import init_network
+from freerein_orchestrator.rl.initial_network import init_network
 
 FIELD = "config.teachers"
 

@@ -236,6 +236,13 @@ def test_the_eye_for_the_base_reward_is_the_reward_models_whichever_grounding_mo
     assert (card["model"]["name"], card["eye"]["name"]) == ("grounding", "default")
 
 
+def test_curiosity_learns_while_the_policy_does(ppo: Callable[..., Any]) -> None:
+    run = ppo(reward="curiosity", encoder="spatial", iterations=1)
+    assert run.do()
+    assert run.rows[0]["intrinsic_reward"] > 0
+    assert run.artifact("policy.json")["supervision"].startswith("none; ")
+
+
 def test_the_oracles_reward_marks_a_policy_and_those_initialised_from_it_as_privileged(ppo: Callable[..., Any]) -> None:
     run = ppo("oracle", reward="oracle", encoder="spatial", iterations=1)
     more = ppo(init_from="oracle", encoder="spatial", iterations=1)

@@ -13,18 +13,22 @@ import torch
 
 from freerein.clients import Channel, RewardClient, SimClient, SyncClient
 from freerein.errors import FailedPrecondition, InvalidInput
-from freerein.types.common import ModelRef
+from freerein.types.common import Camera, ModelRef
 from freerein.types.reward import Mode, RewardRequest
 from freerein.types.sim import CreateSessionRequest, StepResponse
-from freerein_orchestrator.envs.reward_fns import Frames, LearnedReward, RewardFn, oracle_reward, zero_reward
-from freerein_orchestrator.envs.vector_env import RemoteVectorEnv, envs_per_sim
+from freerein_orchestrator.envs.vector_env import RemoteVectorEnv, RewardFn, envs_per_sim
+from freerein_orchestrator.rewards.learned import LearnedReward
+from freerein_orchestrator.rewards.oracle import OracleReward
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.errors import IterationRejected, Stopped
+from freerein_orchestrator.rl.initial_network import network_spec
+from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
-from freerein_orchestrator.rl.state import PPOState, init_state, network_spec
-from freerein_orchestrator.rl.vec_env import Rewards, VecStep
+from freerein_orchestrator.rl.state import PPOState, init_state
+from freerein_orchestrator.rl.vec_env import Frames, Rewards, VecStep
 
 pytestmark = pytest.mark.e2e
+zero_reward, oracle_reward = Reward().of_frames, OracleReward().of_frames
 CPU = torch.device("cpu")
 TASK, CAMERA, GOAL = "blocks.red-on-top-of-yellow", "front", "a red block on top of a yellow block"
 FAST = PPOConfig(iterations=2, num_envs=3, num_steps=8, epochs=1, batch_size=8, hidden_size=8, feature_size=8)
@@ -70,7 +74,7 @@ def draw_actions(rng: np.random.Generator) -> Any:
 def test_the_frames_that_actions_led_to_are_rewarded_also_where_an_episode_ended(
     sim: SyncClient, reward: SyncClient
 ) -> None:
-    envs = open_envs(sim, reward_fn=LearnedReward(reward, GOAL, CAMERA))
+    envs = open_envs(sim, reward_fn=LearnedReward(reward, GOAL, CAMERA).of_frames)
     envs.reset()
     rng, steps = np.random.default_rng(0), list[VecStep]()
     while not steps or not (steps[-1].terminated | steps[-1].truncated).any():
@@ -139,7 +143,7 @@ def test_an_unprivileged_session_returns_frames_and_nothing_else(sim: SyncClient
 
     def reward_fn(frames: Frames, oracle: Rewards | None) -> Rewards:
         oracles.append(oracle)
-        return LearnedReward(reward, GOAL, CAMERA)(frames, oracle)
+        return LearnedReward(reward, GOAL, CAMERA).of_frames(frames, oracle)
 
     class Overheard:
         """The service, overheard."""
@@ -238,7 +242,7 @@ def test_a_learned_reward_outside_its_mode_is_rejected(mode: Mode, possible: lis
 
     def call(rewards: list[float]) -> Rewards:
         service: Any = Service(rewards)
-        return LearnedReward(service, GOAL, CAMERA, mode=mode)(np.zeros((3, 4, 4, 3), np.uint8), None)
+        return LearnedReward(service, GOAL, CAMERA, mode=mode).of_frames(np.zeros((3, 4, 4, 3), np.uint8))
 
     np.testing.assert_array_equal(call(possible), np.array(possible, np.float32))
     with pytest.raises(IterationRejected, match=f"mode {mode} must be"):
@@ -246,17 +250,18 @@ def test_a_learned_reward_outside_its_mode_is_rejected(mode: Mode, possible: lis
 
 
 def test_the_reward_model_is_pinned_and_what_it_cannot_reward_refused_at_once(reward: SyncClient) -> None:
-    model = LearnedReward(reward, GOAL, CAMERA).resolve_model(64, 64, 3)
+    camera = Camera(CAMERA, 64, 64, 3)
+    model = LearnedReward(reward, GOAL, CAMERA).resolve(camera).model
     assert len(model.version) == 12
-    assert LearnedReward(reward, GOAL, CAMERA, model).resolve_model(64, 64, 3) == model
-    one = LearnedReward(reward, GOAL, CAMERA, model)(np.zeros((1, 64, 64, 3), np.uint8), None)
+    assert LearnedReward(reward, GOAL, CAMERA, model).resolve(camera).model == model
+    one = LearnedReward(reward, GOAL, CAMERA, model).of_frames(np.zeros((1, 64, 64, 3), np.uint8))
     assert one.shape == (1,)
     with pytest.raises(InvalidInput, match="rivals"):
-        LearnedReward(reward, "a red block", CAMERA).resolve_model(64, 64, 3)
+        LearnedReward(reward, "a red block", CAMERA).resolve(camera)
     with pytest.raises(InvalidInput, match="does not know crimson, amber"):
-        LearnedReward(reward, "the crimson block is on the amber one", CAMERA).resolve_model(64, 64, 3)
+        LearnedReward(reward, "the crimson block is on the amber one", CAMERA).resolve(camera)
     with pytest.raises(FailedPrecondition, match="active model"):
-        LearnedReward(reward, GOAL, CAMERA, ModelRef("another")).resolve_model(64, 64, 3)
+        LearnedReward(reward, GOAL, CAMERA, ModelRef("another")).resolve(camera)
 
 
 def init(envs: RemoteVectorEnv) -> PPOState:
@@ -264,7 +269,7 @@ def init(envs: RemoteVectorEnv) -> PPOState:
 
 
 def test_a_rollout_is_collected_in_another_session_to_the_same_bits(sim: SyncClient, reward: SyncClient) -> None:
-    reward_fn = LearnedReward(reward, GOAL, CAMERA)
+    reward_fn = LearnedReward(reward, GOAL, CAMERA).of_frames
     envs = open_envs(sim, reward_fn=reward_fn)
     state = init(envs)
 

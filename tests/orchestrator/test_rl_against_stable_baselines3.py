@@ -22,9 +22,10 @@ from stable_baselines3.common.logger import configure
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rl import ppo
 from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.initial_network import init_network, network_spec
 from freerein_orchestrator.rl.ppo import Batch
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
-from freerein_orchestrator.rl.state import init_network, init_state, network_spec
+from freerein_orchestrator.rl.state import init_state
 from freerein_orchestrator.rl.trainer import Trainer
 from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecStep
 

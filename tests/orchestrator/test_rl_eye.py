@@ -11,7 +11,7 @@ from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_bo
 from freerein.learning.actor_critic.eye import GoalEye
 from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
-from freerein_orchestrator.rl.object_encoder import load_object_encoder
+from freerein_orchestrator.rl.goal_eye import load_object_encoder
 
 STEP = 10.0
 """Pixels by which an action of 1 moves the body."""

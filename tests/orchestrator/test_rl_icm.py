@@ -16,19 +16,20 @@ from freerein.learning import checkpoints, tensor_files
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.train_state import FitLoopState
 from freerein_orchestrator.kinds.collect.curiosity import trajectories
+from freerein_orchestrator.rewards.curiosity import CuriosityReward
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.errors import Stopped
 from freerein_orchestrator.rl.icm import (
     ICM,
     ICMConfig,
-    ICMRewards,
     Transitions,
     init_icm,
     intrinsic_rewards,
     update_icm,
 )
+from freerein_orchestrator.rl.initial_network import network_spec
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
-from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec, to_checkpoint
+from freerein_orchestrator.rl.state import MakeRewards, PPOState, from_checkpoint, init_state, to_checkpoint
 from freerein_orchestrator.rl.trainer import Trainer
 from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecStep
 
@@ -222,7 +223,7 @@ def test_an_exploration_stopped_between_iterations_resumes_to_the_same_bits(tmp_
     resumed = explore(tmp_path / "stopped", Corridor(length=20), config=short)
     assert digest(resumed) == digest(explore(tmp_path / "undisturbed", Corridor(length=20), config=short))
     with pytest.raises(FailedPrecondition):
-        from_checkpoint(found, resumed.config, device=CPU, make_reward_learner=make_icm(ICMConfig(batch_size=16)))
+        from_checkpoint(found, resumed.config, device=CPU, make_rewards=curiosity(ICMConfig(batch_size=16)))
 
 
 def test_a_rollout_becomes_trajectories_within_episodes_and_transitions_that_do_not_cross_them() -> None:
@@ -247,13 +248,13 @@ def position(frames: Tensor) -> Tensor:
     return frames[:, 0, :, 0].int().argmax(dim=1)
 
 
-def make_icm(config: ICMConfig) -> Callable[[ActorCritic], ICMRewards]:
-    return lambda policy: ICMRewards(config, policy, transitions=PPO.rollout_size)
+def curiosity(config: ICMConfig) -> MakeRewards:
+    return lambda policy, _: (CuriosityReward(config, policy, transitions=PPO.rollout_size),)
 
 
 def corridor_state(envs: Corridor, config: PPOConfig = PPO) -> PPOState:
     spec = network_spec(config, observation=(4, CELLS, 1), action_choices=2)
-    state = init_state(config, spec, envs, device=CPU, make_reward_learner=make_icm(ICMConfig()))
+    state = init_state(config, spec, envs, device=CPU, make_rewards=curiosity(ICMConfig()))
     envs.visited.clear()
     return state
 
@@ -265,7 +266,7 @@ def explore(
     return Trainer(
         folder,
         init=lambda: corridor_state(envs, config),
-        load=lambda found: from_checkpoint(found, config, device=CPU, make_reward_learner=make_icm(ICMConfig())),
+        load=lambda found: from_checkpoint(found, config, device=CPU, make_rewards=curiosity(ICMConfig())),
         collector=lambda _: CorridorCollector(envs),
         metrics_log=lambda _: NoLog(),
         interrupt=interrupt,

@@ -7,15 +7,15 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.config import parse
+from freerein_orchestrator.rewards.shaping import Shaping
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups, collect_groups
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
 from freerein_orchestrator.rl.errors import IterationRejected
+from freerein_orchestrator.rl.initial_network import init_network
 from freerein_orchestrator.rl.ppo import generalised_advantages, training_batch
 from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
-from freerein_orchestrator.rl.shaping import shaping_rewards
-from freerein_orchestrator.rl.state import init_network
 from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecStep
 
 
@@ -106,7 +106,8 @@ def test_shaping_adds_to_the_return_of_an_episode_only_what_its_ends_are_worth()
     network = init_network(ActorCriticSpec(vector_size=2), generator)
     rollout, _ = collect(network, envs, CollectorState.init(envs, network, generator), num_steps=5)
 
-    shaping = shaping_rewards(rollout, lambda observations: observations[..., 0], gamma=0.9)
+    config = PPOConfig(gamma=0.9, approach_weight=2)
+    shaping = Shaping(lambda observations: observations[..., 0], config).rewards(rollout) / 2
 
     returns = (shaping[:3] * 0.9 ** torch.arange(3)[:, None]).sum(dim=0)  # each episode ends after three timesteps
     first, last = rollout.observations[0, :, 0], torch.from_numpy(envs.final)[:, 0]

@@ -18,12 +18,12 @@ from freerein.learning.actor_critic.networks import ActorCritic
 from freerein_orchestrator.kinds.metrics_logger import MetricsLogger
 from freerein_orchestrator.rl.config import PPOConfig, Schedule
 from freerein_orchestrator.rl.errors import Stopped
+from freerein_orchestrator.rl.initial_network import network_spec
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
 from freerein_orchestrator.rl.state import (
     PPOState,
     from_checkpoint,
     init_state,
-    network_spec,
     to_checkpoint,
     trained_on,
 )

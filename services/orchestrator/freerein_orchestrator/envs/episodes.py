@@ -21,8 +21,7 @@ from freerein.types.sim import (
     Truth,
 )
 from freerein_orchestrator.envs.policies import PolicyHandle, PolicyOutput, PolicySession
-from freerein_orchestrator.envs.reward_fns import Frames
-from freerein_orchestrator.rl.vec_env import Actions
+from freerein_orchestrator.rl.vec_env import Actions, Frames
 
 _CLOSE_TIMEOUT_S = 1.0
 

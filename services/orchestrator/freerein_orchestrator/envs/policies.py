@@ -18,9 +18,8 @@ from freerein.types.common import Encoding, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
 from freerein.types.sim import ExpertActionsRequest, ExpertActionsResponse, Recipe, Task
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_task
-from freerein_orchestrator.envs.reward_fns import Frames
 from freerein_orchestrator.rl.network_policy import NetworkPolicy
-from freerein_orchestrator.rl.vec_env import Actions
+from freerein_orchestrator.rl.vec_env import Actions, Frames
 
 _MAX_THREADS = 64
 """Calls at once: the most environments that a session may have."""

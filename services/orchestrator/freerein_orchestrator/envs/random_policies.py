@@ -7,8 +7,7 @@ import numpy.typing as npt
 
 from freerein.types.common import ActionSpec
 from freerein_orchestrator.envs.policies import PolicyHandle, PolicyOutput
-from freerein_orchestrator.envs.reward_fns import Frames
-from freerein_orchestrator.rl.vec_env import Actions
+from freerein_orchestrator.rl.vec_env import Actions, Frames
 
 _MEAN_HOLD_STEPS, _SMOOTHING, _EXTREME_PROBABILITY = 6.0, 0.5, 0.3
 

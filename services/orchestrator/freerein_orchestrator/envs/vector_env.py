@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -23,12 +23,14 @@ from freerein.types.sim import (
     StepRequest,
     StepResponse,
 )
-from freerein_orchestrator.envs.reward_fns import Frames, RewardFn
 from freerein_orchestrator.rl.env_groups import EnvGroups
 from freerein_orchestrator.rl.errors import IterationRejected
-from freerein_orchestrator.rl.vec_env import Actions, Rewards, VecStep
+from freerein_orchestrator.rl.vec_env import Actions, Frames, Rewards, VecStep
 
 T = TypeVar("T")
+
+RewardFn: TypeAlias = Callable[[Frames, Rewards | None], Rewards]
+"""As `Reward.of_frames`."""
 
 LEASE_S = 300.0
 FRAMES_PER_REWARD_CALL = 32

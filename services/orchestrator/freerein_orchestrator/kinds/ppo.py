@@ -1,7 +1,7 @@
 """Kind `ppo`: trains a policy for one task by PPO over the network, on a reward for what its frames show.
 
-An unprivileged session returns frames only, and rewards are computed from them. Only the oracle's reward, to compare
-with, takes a privileged session.
+An unprivileged session returns frames only, and rewards are computed from them. Only a reward that declares itself
+privileged, to compare with, may take a privileged session.
 
 <run>/checkpoints/   freerein_orchestrator.rl.trainer
       artifacts/     the policy, freerein.learning.actor_critic.policy_files, and a video of it
@@ -9,48 +9,43 @@ with, takes a privileged session.
 
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, Literal, TypeAlias, cast
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor
 
 from freerein.clients.tasks import find_camera, find_task
 from freerein.errors import InvalidInput
-from freerein.learning.actor_critic.networks import ActorCriticSpec
+from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.actor_critic.policy_files import StoredPolicy, save_in_distribution, save_policy
-from freerein.learning.checkpoints import JSON
-from freerein.learning.config import bounded, parse
+from freerein.learning.checkpoints import JSON, Checkpoint
+from freerein.learning.config import bounded, one_of, parse
 from freerein.learning.model_files import choose_device
-from freerein.types.common import Camera, ModelRef
-from freerein.types.reward import RewardResponse
+from freerein.types.common import Camera, ModelRef, check_name
 from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator.envs.recovery import RecoveringCollector
-from freerein_orchestrator.envs.reward_fns import LearnedReward, RewardFn, oracle_reward, zero_reward
-from freerein_orchestrator.envs.vector_env import RemoteVectorEnv, open_groups
+from freerein_orchestrator.envs.vector_env import RemoteVectorEnv, RewardFn, open_groups
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.finished_training import check_sims, find_training
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.kinds.policy_video import can_film, save_video
+from freerein_orchestrator.rewards import REWARDS, make_rewards
+from freerein_orchestrator.rewards.entry import RewardSetting
+from freerein_orchestrator.rewards.learned import LearnedReward
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups
-from freerein_orchestrator.rl.object_encoder import ObjectEncoder, load_object_encoder
-from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec, trained_on
+from freerein_orchestrator.rl.goal_eye import ObjectEncoder, fit_eye, load_object_encoder
+from freerein_orchestrator.rl.initial_network import calibrate, network_spec
+from freerein_orchestrator.rl.reward import Reward
+from freerein_orchestrator.rl.state import PPOState, Prepare, from_checkpoint, init_state, trained_on
 from freerein_orchestrator.rl.trainer import Trainer
 from freerein_orchestrator.rl.visited_frames import fit_in_distribution, visited_frames
 
-RewardForm: TypeAlias = Literal["learned", "base", "oracle"]
-
-_GROUNDING = "grounding"
 _VISITED_ROLLOUTS = 2  # as many timesteps as in two iterations
 _FIELD, _RESUME_FIELD = "config.init_from", "config.resume_from"
-_SUPERVISION: Mapping[RewardForm, str] = {
-    "learned": "goal text; the reward model saw images, noun phrases and captions made from pixels",
-    "base": "goal text; the grounding model saw captions of single objects",
-    "oracle": "the task's true reward, which is privileged: to compare with",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +57,9 @@ class PPORunConfig(PPOConfig):
         goal_text: The goal in words that the reward model knows; empty for the task's own.
         camera: The camera that policy and reward see; empty for the task's first.
         reward: `learned`, 1 where a reward model prefers the goal text to its rival captions; `base`, the similarity of
-            goal text and frame by the grounding model; `oracle`, the true reward, to compare with.
+            goal text and frame by the grounding model; `oracle`, the true reward, to compare with. See
+            Rewards for the others.
+        dataset: Name of the dataset whose trajectories end in success, for a reward that sees such examples.
         reward_model: Name of the reward model; empty for the service's default, for `base` `grounding`. The version
             that is active when the run starts is used to its end.
         encoder: `goal_eye`, a frozen eye for the two objects of the goal and the policy's own body, or `spatial`, an
@@ -79,13 +76,14 @@ class PPORunConfig(PPOConfig):
             they were. Keys other than those of the update must be those of that run.
 
     Raises:
-        InvalidInput: Both `init_from` and `resume_from` are given.
+        InvalidInput: Both `init_from` and `resume_from` are given, or the reward needs another encoder, or a dataset.
     """
 
     task: str
     goal_text: str = ""
     camera: str = ""
-    reward: RewardForm = "learned"
+    reward: str = one_of(REWARDS, "learned")
+    dataset: str = ""
     reward_model: str = ""
     encoder: Literal["goal_eye", "spatial"] = "goal_eye"
     conditions: tuple[str, ...] = ()
@@ -102,6 +100,22 @@ class PPORunConfig(PPOConfig):
                 field=_RESUME_FIELD,
                 hint="`resume_from` goes on with a training; `init_from` begins one with its weights alone.",
             )
+        entry = REWARDS[self.reward]
+        if entry.encoder not in ("", self.encoder):
+            raise InvalidInput(
+                f"The reward `{self.reward}` needs the encoder `{entry.encoder}`; got `{self.encoder}`.",
+                field="config.encoder",
+                hint=f"--set encoder={entry.encoder}",
+            )
+        if bool(self.dataset) != ("success_examples" in entry.sees):
+            raise InvalidInput(
+                f"`dataset` is for rewards that see examples of success; `{self.reward}` is "
+                f"{'none of them' if self.dataset else 'one, and got none'}.",
+                field="config.dataset",
+                hint="Leave it out." if self.dataset else "Name a dataset whose trajectories end in success.",
+            )
+        if self.dataset:
+            check_name(self.dataset, field="config.dataset")
 
 
 def run(context: RunContext, config: PPORunConfig) -> None:
@@ -118,7 +132,7 @@ def run(context: RunContext, config: PPORunConfig) -> None:
     trainer = Trainer(
         context.folder,
         init=lambda: training.retry.call(training.init),
-        load=partial(from_checkpoint, config=config, device=training.device, inputs={"sims": len(training.sims)}),
+        load=training.load,
         collector=training.collector,
         metrics_log=context.metrics_logger,
         interrupt=training.retry.interrupt,
@@ -149,11 +163,22 @@ def check(config: PPORunConfig, store: PolicyStore, earlier: Collection[str]) ->
 KIND = Kind(partial(parse, PPORunConfig), steps=lambda config: config.iterations, run=run, check=check)
 
 
+def session_request(config: PPORunConfig) -> CreateSessionRequest:
+    """Returns the session of a training: privileged for a reward that declares itself so and sees the true rewards."""
+    return CreateSessionRequest(
+        config.task,
+        num_envs=config.num_envs,
+        seed=config.seed,
+        privileged=REWARDS[config.reward].gets_true_rewards,
+        conditions=config.conditions,
+    )
+
+
 class _Training:
     """The environments and rewards of a run.
 
     The state's `inputs` are what a run is bound to when it starts: `goal_text`, `camera`, `model` (name and version of
-    the reward model; empty for the oracle), `eye` (those of the one whose encoder the policy sees with; empty without),
+    the reward model; empty without one), `eye` (those of the one whose encoder the policy sees with; empty without),
     the number of `sims`, the initial policy's sha256 and supervision (`init`), and whether any of that is `privileged`.
     """
 
@@ -163,8 +188,7 @@ class _Training:
         self.sims = context.replicas("sim")[: config.num_envs]
         self._context = context
         self._config = config
-        self._privileged = config.reward == "oracle"
-        self._reward = context.client("reward")
+        self._entry = REWARDS[config.reward]
 
     def init(self) -> PPOState:
         """Returns the state before the first iteration."""
@@ -172,8 +196,7 @@ class _Training:
             return self._trained_on()
         config, task = self._config, find_task(self.sims[0], self._config.task)
         camera, goal_text = find_camera(task, config.camera), config.goal_text or task.goal_text
-        eye = self._eye(goal_text, camera) if config.encoder == "goal_eye" else None
-        encoder = None if eye is None else self._object_encoder(eye, camera)
+        eye, encoder = self._eye(goal_text, camera) if config.encoder == "goal_eye" else (None, None)
         spec = network_spec(
             config,
             observation=(camera.height, camera.width, camera.channels),
@@ -182,103 +205,105 @@ class _Training:
             eye=encoder.spec if encoder else None,
             action_repeat=config.action_repeat,
         )
-        policy = self._initial_policy(spec)
+        policy = self._context.policies.load(config.init_from, field=_FIELD) if config.init_from else None
         inputs: dict[str, JSON] = {
             "goal_text": goal_text,
             "camera": camera.name,
-            "model": asdict(self._reward_model(goal_text, camera)),
-            "eye": {} if eye is None else asdict(eye.model),
+            "model": asdict(self._entry.resolve_model(self._setting(goal_text, camera, ModelRef(config.reward_model)))),
+            "eye": {} if eye is None else asdict(eye),
             "sims": len(self.sims),
             "init": {name: policy.card.get(name) for name in ("supervision", "sha256")} if policy else {},
-            "privileged": self._privileged or (policy is not None and policy.card.get("privileged") is True),
+            "privileged": self._entry.privileged or (policy is not None and policy.card.get("privileged") is True),
         }
-        with closing(self._open_envs(zero_reward, camera.name, ())) as envs:
+        prepare = self._prepare(encoder) if policy is None else partial(_copy_policy, policy)
+        with closing(self._open_envs(Reward().of_frames, camera.name, ())) as envs:
             return init_state(
                 config,
                 spec,
                 envs,
                 device=self.device,
-                init_from=policy.network if policy else None,
-                object_encoder=encoder.weights if encoder else None,
+                prepare=prepare,
+                make_rewards=self._make_rewards,
                 inputs=inputs,
             )
+
+    def load(self, checkpoint: Checkpoint) -> PPOState:
+        """Returns the state of a checkpoint."""
+        inputs: dict[str, JSON] = {"sims": len(self.sims)}
+        return from_checkpoint(
+            checkpoint, self._config, device=self.device, make_rewards=self._make_rewards, inputs=inputs
+        )
 
     def _trained_on(self) -> PPOState:
         """Returns the state of the training that this one goes on with."""
         config = self._config
         checkpoint = find_training(self._context.policies, config.resume_from, config, field=_RESUME_FIELD)
         check_sims(checkpoint, len(self.sims))
-        return trained_on(checkpoint, config, device=self.device)
+        return trained_on(checkpoint, config, device=self.device, make_rewards=self._make_rewards)
 
     def collector(self, state: PPOState) -> RecoveringCollector:
         """Returns what collects the rollouts of a state."""
-        inputs = cast(dict[str, Any], state.inputs)
-        reward_fn: RewardFn = oracle_reward
-        if not self._privileged:
-            reward_fn = self._learned_reward(inputs["goal_text"], inputs["camera"], ModelRef(**inputs["model"]))
-        open_envs = partial(self._open_envs, reward_fn, inputs["camera"])
+        open_envs = partial(self._open_envs, state.rewards[0].of_frames, cast(str, state.inputs["camera"]))
         return RecoveringCollector(open_envs, num_steps=self._config.num_steps, retry=self.retry)
 
     def visited_frames(self, state: PPOState) -> Tensor:
         """Returns the frames that the trained policy visits, uint8 (steps * N, H, W, C): step after step of N envs."""
         config, generator = self._config, torch.Generator().manual_seed(self._config.seed)
         camera = cast(str, state.inputs["camera"])
-        with closing(self._open_envs(zero_reward, camera, ())) as envs:
+        with closing(self._open_envs(Reward().of_frames, camera, ())) as envs:
             steps = _VISITED_ROLLOUTS * config.num_steps
             return visited_frames(state.network, envs, generator, num_steps=steps)
 
-    def _initial_policy(self, spec: ActorCriticSpec) -> StoredPolicy | None:
-        if not self._config.init_from:
-            return None
-        policy = self._context.policies.load(self._config.init_from, field=_FIELD)
-        if policy.network.spec != spec:
-            raise InvalidInput(
-                f"The initial policy must have the network {spec}; it has {policy.network.spec}.",
-                field=_FIELD,
-                hint="Choose the task and the configuration of the network that it was trained with.",
-            )
-        return policy
+    def _eye(self, goal_text: str, camera: Camera) -> tuple[ModelRef, ObjectEncoder]:
+        """Returns the encoder that the policy's eye has, and the reward model that it is of."""
+        name = self._config.reward_model if self._entry.encodes_objects else ""
+        answer = LearnedReward(self._context.client("reward"), goal_text, camera.name, ModelRef(name)).resolve(camera)
+        folder = self._context.reward_models.folder(answer.model)
+        return answer.model, load_object_encoder(folder, goal_caption=answer.texts[0], camera=camera)
 
-    def _eye(self, goal_text: str, camera: Camera) -> RewardResponse:
-        """Returns the answer of the reward model whose encoder the policy sees with."""
-        name = "" if self._config.reward == "base" else self._config.reward_model  # a grounding model has no encoder
-        model = self._learned_reward(goal_text, camera.name, ModelRef(name))
-        return model.resolve(camera.height, camera.width, camera.channels)
+    def _prepare(self, encoder: ObjectEncoder | None) -> Prepare:
+        if encoder is None:
+            return calibrate
+        return partial(fit_eye, objects=encoder.weights, explorations=self._config.explorations)
 
-    def _object_encoder(self, eye: RewardResponse, camera: Camera) -> ObjectEncoder:
-        folder = self._context.reward_models.folder(eye.model)
-        return load_object_encoder(folder, goal_caption=eye.texts[0], camera=camera)
+    def _make_rewards(self, network: ActorCritic, inputs: Mapping[str, JSON]) -> Sequence[Reward]:
+        """Returns the untrained rewards of a training with these inputs."""
+        spec, bound = network.spec, cast(dict[str, Any], inputs)
+        camera = Camera(bound["camera"], spec.height, spec.width, spec.channels)
+        setting = self._setting(bound["goal_text"], camera, ModelRef(**bound["model"]))
+        return make_rewards(self._entry, setting, network)
 
-    def _reward_model(self, goal_text: str, camera: Camera) -> ModelRef:
-        if self._privileged:
-            return ModelRef()
-        name = self._config.reward_model or (_GROUNDING if self._config.reward == "base" else "")
-        reward_fn = self._learned_reward(goal_text, camera.name, ModelRef(name))
-        return reward_fn.resolve_model(camera.height, camera.width, camera.channels)
-
-    def _learned_reward(self, goal_text: str, camera: str, model: ModelRef) -> LearnedReward:
-        mode: Literal["raw", "binary"] = "raw" if self._config.reward == "base" else "binary"
-        return LearnedReward(self._reward, goal_text, camera, model, mode)
+    def _setting(self, goal_text: str, camera: Camera, model: ModelRef) -> RewardSetting:
+        config, context = self._config, self._context
+        service = context.client("reward")
+        return RewardSetting(config, goal_text, camera, model, service, context.data_dir, config.dataset)
 
     def _open_envs(self, reward_fn: RewardFn, camera: str, snapshots: Sequence[bytes]) -> EnvGroups[RemoteVectorEnv]:
-        config = self._config
-        request = CreateSessionRequest(
-            config.task,
-            num_envs=config.num_envs,
-            seed=config.seed,
-            privileged=self._privileged,
-            conditions=config.conditions,
-            max_episode_steps=config.episode_steps if snapshots else 0,  # explorations begin new episodes themselves
-        )
+        steps = self._config.episode_steps if snapshots else 0  # explorations begin new episodes themselves
         return open_groups(
             self.sims,
-            request,
+            replace(session_request(self._config), max_episode_steps=steps),
             camera=camera,
             reward_fn=reward_fn,
-            action_repeat=config.action_repeat,
+            action_repeat=self._config.action_repeat,
             snapshots=snapshots,
             interrupt=self.retry.interrupt,
         )
+
+
+def _copy_policy(policy: StoredPolicy, network: ActorCritic, *_: object) -> None:
+    """Copies the weights of the initial policy.
+
+    Raises:
+        InvalidInput: It has another network.
+    """
+    if policy.network.spec != network.spec:
+        raise InvalidInput(
+            f"The initial policy must have the network {network.spec}; it has {policy.network.spec}.",
+            field=_FIELD,
+            hint="Choose the task and the configuration of the network that it was trained with.",
+        )
+    network.load_state_dict(policy.network.state_dict())
 
 
 def _card(config: PPORunConfig, state: PPOState, task: Task) -> dict[str, JSON]:
@@ -294,7 +319,7 @@ def _card(config: PPORunConfig, state: PPOState, task: Task) -> dict[str, JSON]:
         "max_episode_steps": task.max_episode_steps,
         **state.inputs,
         "reward": config.reward,
-        "supervision": _SUPERVISION[config.reward] + arranged + before,
+        "supervision": REWARDS[config.reward].supervision + arranged + before,
         "config": asdict(config),
         "figures": {
             "iterations": state.schedule.before + state.iteration,

@@ -10,8 +10,7 @@ It sees frames and executed actions only. Two departures from the paper:
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
-from typing import cast
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,10 +18,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freerein.errors import InvalidInput
-from freerein.learning import train_state, weights
-from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
-from freerein.learning.checkpoints import JSON, Checkpoint
+from freerein.learning import weights
+from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.config import bounded
 from freerein.learning.encoders import SpatialEncoder
 from freerein.learning.optimiser import optimiser_step
@@ -180,52 +177,6 @@ def update_icm(
         raise IterationRejected("Weights of the curiosity module must stay finite.", hint="Lower its learning rate.")
     means = torch.stack(losses).mean(dim=0).tolist()
     return replace(learner, state=state), dict(zip(("inverse_loss", "forward_loss"), means, strict=True))
-
-
-class ICMRewards:
-    """Intrinsic rewards, learned while the policy is; a `RewardLearner`.
-
-    Args:
-        config: Hyperparameters.
-        policy: The policy's network, of which it takes the spec and the image calibration.
-        transitions: Transitions per rollout.
-
-    Raises:
-        InvalidInput: The policy sees no frames.
-    """
-
-    def __init__(self, config: ICMConfig, policy: ActorCritic, *, transitions: int) -> None:
-        if policy.image is None:
-            raise InvalidInput("Curiosity needs frames; got vectors.", hint="Explore a task that has a camera.")
-        self._config = config
-        device = next(policy.parameters()).device
-        self.learner = init_icm(config, policy.spec, transitions=transitions, device=device)
-        self.learner.state.network.copy_calibration(policy.image)
-        self._mean_reward = 0.0
-
-    def rewards(self, rollout: RolloutBuffer) -> Tensor:
-        """Returns the intrinsic rewards of a rollout, float32 (T, N)."""
-        rewards = intrinsic_rewards(self.learner.state.network, Transitions.of(rollout), scale=self._config.scale)
-        self._mean_reward = rewards.mean().item()
-        return rewards.view(rollout.dones.shape)
-
-    def update(self, rollout: RolloutBuffer) -> dict[str, float]:
-        """Trains the module on a rollout; returns its losses and the rollout's mean reward."""
-        self.learner, losses = update_icm(self.learner, Transitions.of(rollout), self._config)
-        return {**losses, "intrinsic_reward": self._mean_reward}
-
-    def snapshot(self) -> Checkpoint:
-        """Returns the complete state."""
-        return train_state.to_checkpoint(self.learner, {"icm": cast(JSON, asdict(self._config))})
-
-    def restore(self, checkpoint: Checkpoint) -> None:
-        """Takes over the state of a snapshot.
-
-        Raises:
-            FailedPrecondition: It was made with another configuration.
-        """
-        identity = {"icm": cast(JSON, asdict(self._config))}
-        self.learner = train_state.from_checkpoint(checkpoint, self.learner, identity)
 
 
 def _mlp(inputs: int, hidden_size: int, outputs: int) -> nn.Sequential:

@@ -4,7 +4,7 @@ No rollout is saved: the collector's state says where the next one starts, envir
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from typing import TypeAlias, cast
 
@@ -13,31 +13,31 @@ import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
-from freerein.learning import train_state, weights
-from freerein.learning.actor_critic.body import Exploration
-from freerein.learning.actor_critic.eye import EyeSpec
+from freerein.learning import train_state
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.config import parse
 from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState, tensors_under
 from freerein_orchestrator.rl.config import PPOConfig, Schedule
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
+from freerein_orchestrator.rl.goal_eye import explored_steps
+from freerein_orchestrator.rl.initial_network import calibrate, init_network
 from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
-from freerein_orchestrator.rl.rewards import EnvRewards, RewardLearner
+from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.rollout import CollectorState
-from freerein_orchestrator.rl.vec_env import Observations, VecEnv, env_actions, observation_tensor
+from freerein_orchestrator.rl.vec_env import VecEnv
 
-_CALIBRATION_STEPS = 64
-_EXPLORATION_STEPS, _EXPLORATION_RANGE = 8, 0.5
 _ADAM_EPSILON = 1e-5
 
-MakeRewardLearner: TypeAlias = Callable[[ActorCritic], RewardLearner]
-"""Returns the untrained reward learner of a policy network."""
+Prepare: TypeAlias = Callable[[ActorCritic, VecEnv, torch.Generator], None]
+"""Prepares a new network in its environments, drawing from a generator."""
+MakeRewards: TypeAlias = Callable[[ActorCritic, Mapping[str, JSON]], Sequence[Reward]]
+"""Returns the untrained rewards of a policy's network and of a training's inputs; those after the first are added."""
 
 
-def env_rewards(_network: ActorCritic) -> RewardLearner:
-    """Returns the reward learner that passes the environments' rewards on."""
-    return EnvRewards()
+def env_rewards(_network: ActorCritic, _inputs: Mapping[str, JSON]) -> Sequence[Reward]:
+    """Returns the reward that passes on what the environments return."""
+    return (Reward(),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class PPOState:
         collector: Where the next rollout starts.
         episodes: Statistics of the episodes under way.
         normaliser: Scales rewards; None without normalisation.
-        reward_learner: Rewards rollouts; changed in place.
+        rewards: What it is rewarded by; changed in place. Returns of episodes are of the first, the others are added.
         schedule: Where it is in the course of its learning rate and noise.
         inputs: What else the training was started with and must be resumed with.
         recorded: Trajectories recorded so far.
@@ -62,7 +62,7 @@ class PPOState:
     collector: CollectorState
     episodes: EpisodeStats
     normaliser: ReturnNormaliser | None
-    reward_learner: RewardLearner
+    rewards: Sequence[Reward]
     schedule: Schedule
     inputs: Mapping[str, JSON] = field(default_factory=dict)
     recorded: int = 0
@@ -81,53 +81,8 @@ class PPOState:
     @property
     def timesteps(self) -> int:
         """Environment steps so far, those of exploration and of the trainings that it goes on with included."""
-        explorations = 0 if self.network.eye is None else self.config.explorations
-        explored = explorations * _EXPLORATION_STEPS * self.config.num_envs
-        iterations = self.schedule.before + self.iteration
-        return (iterations * self.config.rollout_size + explored) * self.network.spec.action_repeat
-
-
-def network_spec(
-    config: PPOConfig,
-    *,
-    observation: tuple[int, ...],
-    action_size: int = 1,
-    action_choices: int = 0,
-    eye: EyeSpec | None = None,
-    action_repeat: int = 1,
-) -> ActorCriticSpec:
-    """Returns the network of a configuration.
-
-    Args:
-        config: Hyperparameters.
-        observation: Shape of an observation: (H, W, C) or (D,).
-        action_size: Numbers per action.
-        action_choices: Number of discrete actions, 0 if continuous.
-        eye: The frozen eye that sees the frames, if any.
-        action_repeat: Timesteps that each action is held for.
-
-    Raises:
-        InvalidInput: There is no network for such observations or actions.
-    """
-    match observation:
-        case (height, width, channels):
-            shape = {"height": height, "width": width, "channels": channels}
-        case (size,):
-            shape = {"vector_size": size}
-        case _:
-            raise InvalidInput(f"An observation must have the shape (H, W, C) or (D,); got {observation}.")
-    return ActorCriticSpec(
-        **shape,
-        action_size=action_size,
-        action_choices=action_choices,
-        feature_size=config.feature_size,
-        hidden_size=config.hidden_size,
-        recurrent=config.recurrent,
-        init_log_std=config.init_log_std,
-        layer_norm=config.layer_norm,
-        eye=eye,
-        action_repeat=action_repeat,
-    )
+        iterations, spec = self.schedule.before + self.iteration, self.network.spec
+        return (iterations * self.config.rollout_size + explored_steps(spec, self.config)) * spec.action_repeat
 
 
 def init_state(
@@ -136,23 +91,19 @@ def init_state(
     envs: VecEnv,
     *,
     device: torch.device,
-    init_from: ActorCritic | None = None,
-    object_encoder: Mapping[str, Tensor] | None = None,
-    make_reward_learner: MakeRewardLearner = env_rewards,
+    prepare: Prepare = calibrate,
+    make_rewards: MakeRewards = env_rewards,
     inputs: Mapping[str, JSON] | None = None,
 ) -> PPOState:
     """Returns the state before the first iteration; resets the environments.
-
-    The image encoder of new weights is calibrated on the frames that random actions lead to; an eye is fitted to them.
 
     Args:
         config: Hyperparameters.
         spec: The network.
         envs: The environments.
         device: Where the network is trained.
-        init_from: A network of the same spec to copy.
-        object_encoder: Weights of the eye's encoder of objects; needed by a network with an eye that is not copied.
-        make_reward_learner: Returns the reward learner.
+        prepare: Prepares the new network: by default, calibrates its image encoder.
+        make_rewards: Returns the rewards.
         inputs: What else the training must be resumed with.
 
     Raises:
@@ -164,88 +115,37 @@ def init_state(
         )
     learner = _init_learner(config, spec, device)
     network, generator = learner.state.network, learner.state.generator
-    if init_from is not None:
-        network.load_state_dict(init_from.state_dict())
-    elif network.eye is not None:
-        network.eye.load_objects(object_encoder or {})
-        network.eye.fit(explore(network.spec, envs, generator, count=config.explorations), generator)
-    else:
-        calibrate(network, envs, generator)
+    prepare(network, envs, generator)
+    rewards = make_rewards(network, inputs or {})
+    for reward in rewards:
+        reward.begin()
     return PPOState(
         config=config,
         learner=learner,
         collector=CollectorState.init(envs, network, generator),
         episodes=EpisodeStats.init(config.num_envs),
         normaliser=ReturnNormaliser.init(config.num_envs) if config.normalise_rewards else None,
-        reward_learner=make_reward_learner(network),
+        rewards=rewards,
         schedule=Schedule(config.iterations),
         inputs=inputs or {},
     )
 
 
-def init_network(spec: ActorCriticSpec, generator: torch.Generator) -> ActorCritic:
-    """Returns a network with initial weights, not yet calibrated."""
-    network = ActorCritic(spec)
-    weights.initialise(network, generator=generator)
-    return network
-
-
-def calibrate(network: ActorCritic, envs: VecEnv, generator: torch.Generator) -> None:
-    """Calibrates a network's image encoder on frames that random actions lead to; does nothing for vectors."""
-    spec = network.spec
-    if spec.vector_size:
-        return
-    frames: list[Observations] = [envs.reset()]
-    for _ in range(_CALIBRATION_STEPS):
-        frames.append(envs.step(env_actions(_random_actions(spec, envs.num_envs, generator))).observations)
-    envs.rewards()  # unused
-    seen = torch.cat([observation_tensor(each, spec, envs.num_envs) for each in frames])
-    network.calibrate(seen.to(next(network.parameters()).device))
-
-
-def explore(spec: ActorCriticSpec, envs: VecEnv, generator: torch.Generator, *, count: int) -> Exploration:
-    """Returns `count` short sequences of small random actions in each environment, from the starts of episodes.
-
-    Those in which an episode ended are left out.
-    """
-    sequences, moves = [], []
-    for _ in range(count):
-        frames = [observation_tensor(envs.reset(), spec, envs.num_envs)]
-        actions, has_ended = [], torch.zeros(envs.num_envs, dtype=torch.bool)
-        for _ in range(_EXPLORATION_STEPS):
-            actions.append(_EXPLORATION_RANGE * _random_actions(spec, envs.num_envs, generator))
-            step = envs.step(env_actions(actions[-1]))
-            frames.append(observation_tensor(step.observations, spec, envs.num_envs))
-            has_ended |= torch.from_numpy(step.terminated | step.truncated)
-        sequences.append(torch.stack(frames, dim=1)[~has_ended])
-        moves.append(torch.stack(actions, dim=1)[~has_ended])
-    envs.rewards()  # unused
-    return Exploration(torch.cat(sequences), torch.cat(moves))
-
-
-def _random_actions(spec: ActorCriticSpec, num_envs: int, generator: torch.Generator) -> Tensor:
-    """Returns uniform actions, (num_envs, A)."""
-    size = num_envs, spec.action_size
-    if spec.action_choices:
-        return torch.randint(spec.action_choices, size, generator=generator)
-    return 2 * torch.rand(size, generator=generator) - 1
-
-
 def to_checkpoint(state: PPOState) -> Checkpoint:
     """Returns a copy of a state, unaffected by what follows."""
     made = train_state.to_checkpoint(state.learner, _identity(state.config, state.network, state.inputs))
-    reward = state.reward_learner.snapshot()
+    rewards = {_reward_key(index): reward.snapshot() for index, reward in enumerate(state.rewards)}
     tensors = {
         **made.tensors,
         **{f"collector/{name}": tensor for name, tensor in _collector_tensors(state).items()},
-        **{f"reward/{name}": tensor for name, tensor in reward.tensors.items()},
+        **{f"{key}/{name}": tensor for key, reward in rewards.items() for name, tensor in reward.tensors.items()},
     }
     document: dict[str, JSON] = {
         **made.document,
         "metrics": dict(state.metrics),
         "recorded": state.recorded,
         "schedule": asdict(state.schedule),
-        "reward": {**reward.document, "step": reward.step},
+        **{key: {**reward.document, "step": reward.step} for key, reward in rewards.items()},
     }
     return replace(made, tensors={name: tensor.detach().clone() for name, tensor in tensors.items()}, document=document)
 
@@ -255,7 +155,7 @@ def from_checkpoint(
     config: PPOConfig,
     *,
     device: torch.device,
-    make_reward_learner: MakeRewardLearner = env_rewards,
+    make_rewards: MakeRewards = env_rewards,
     inputs: Mapping[str, JSON] | None = None,
 ) -> PPOState:
     """Returns the state of a checkpoint.
@@ -264,7 +164,7 @@ def from_checkpoint(
         checkpoint: From `to_checkpoint`.
         config: As the training was started with.
         device: The device that it was started on.
-        make_reward_learner: The function that it was started with.
+        make_rewards: The function that it was started with.
         inputs: Inputs to compare with the checkpoint's.
 
     Raises:
@@ -276,7 +176,7 @@ def from_checkpoint(
     fresh = _init_learner(config, parse(ActorCriticSpec, started["network"]), device)
     identity = _identity(config, fresh.state.network, inputs)
     learner = train_state.from_checkpoint(checkpoint, fresh, identity, defaults=_defaults(config))
-    return _restored(checkpoint, config, learner, make_reward_learner, inputs)
+    return _restored(checkpoint, config, learner, make_rewards, inputs)
 
 
 def trained_on(
@@ -284,7 +184,7 @@ def trained_on(
     config: PPOConfig,
     *,
     device: torch.device,
-    make_reward_learner: MakeRewardLearner = env_rewards,
+    make_rewards: MakeRewards = env_rewards,
     inputs: Mapping[str, JSON] | None = None,
 ) -> PPOState:
     """Returns the state before the first iteration of a training that goes on with that of a checkpoint.
@@ -295,14 +195,14 @@ def trained_on(
         checkpoint: From `to_checkpoint`.
         config: Of the new training; `iterations` are its own. What shapes the state must be as in the checkpoint's.
         device: The device of the new training.
-        make_reward_learner: The function that the earlier training was started with.
+        make_rewards: The function that the earlier training was started with.
         inputs: Inputs that the new training must be resumed with besides those of the checkpoint.
     """
     started = cast(Mapping[str, Mapping[str, JSON]], checkpoint.document["identity"])
     fresh = _init_learner(config, parse(ActorCriticSpec, started["network"]), device)
     identity = cast(Mapping[str, JSON], started)  # whichever torch it was trained with
     learner = train_state.from_checkpoint(checkpoint, fresh, identity)
-    state = _restored(checkpoint, config, learner, make_reward_learner, {**started["inputs"], **(inputs or {})})
+    state = _restored(checkpoint, config, learner, make_rewards, {**started["inputs"], **(inputs or {})})
     schedule = replace(state.schedule, before=state.schedule.before + state.iteration)
     return replace(state, learner=replace(learner, state=replace(learner.state, step=0)), schedule=schedule)
 
@@ -311,14 +211,15 @@ def _restored(
     checkpoint: Checkpoint,
     config: PPOConfig,
     learner: FitLoopState[ActorCritic],
-    make_reward_learner: MakeRewardLearner,
+    make_rewards: MakeRewards,
     inputs: Mapping[str, JSON],
 ) -> PPOState:
     """Returns the state of a checkpoint whose learner is restored."""
-    reward_learner = make_reward_learner(learner.state.network)
-    reward = cast(dict[str, JSON], checkpoint.document["reward"])
-    tensors = tensors_under("reward/", checkpoint.tensors)
-    reward_learner.restore(Checkpoint(cast(int, reward["step"]), tensors, reward))
+    rewards = make_rewards(learner.state.network, inputs)
+    for index, reward in enumerate(rewards):
+        if saved := cast(dict[str, JSON], checkpoint.document.get(_reward_key(index))):  # before, one alone had a state
+            tensors = tensors_under(f"{_reward_key(index)}/", checkpoint.tensors)
+            reward.restore(Checkpoint(cast(int, saved["step"]), tensors, saved))
     collector = tensors_under("collector/", checkpoint.tensors)
     normaliser = ReturnNormaliser(collector["discounted"], collector["moments"]) if "moments" in collector else None
     snapshots = [collector[f"env/{index}"] for index in range(len(tensors_under("env/", collector)))]
@@ -334,7 +235,7 @@ def _restored(
         ),
         episodes=EpisodeStats(collector["returns"], collector["lengths"]),
         normaliser=normaliser,
-        reward_learner=reward_learner,
+        rewards=rewards,
         schedule=_schedule(checkpoint),
         inputs=inputs,
         recorded=cast(int, checkpoint.document["recorded"]),
@@ -352,6 +253,11 @@ def _init_learner(config: PPOConfig, spec: ActorCriticSpec, device: torch.device
     sequences = config.rollout_size // config.sequence_length
     sampler = BatchSampler.start(sequences, rng=np.random.default_rng(config.seed))
     return FitLoopState(TrainState(network, optimiser, generator), sampler)
+
+
+def _reward_key(index: int) -> str:
+    """Returns the name of a reward's state in a checkpoint."""
+    return f"reward{index or ''}"
 
 
 def _schedule(checkpoint: Checkpoint) -> Schedule:

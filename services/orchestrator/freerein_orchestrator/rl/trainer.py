@@ -18,7 +18,6 @@ from freerein.learning.checkpoints import Checkpoint
 from freerein_orchestrator.rl import ppo
 from freerein_orchestrator.rl.errors import IterationRejected
 from freerein_orchestrator.rl.rollout import Collector, RolloutBuffer
-from freerein_orchestrator.rl.shaping import shaping_rewards
 from freerein_orchestrator.rl.state import PPOState, to_checkpoint
 
 _MAX_FAILURES = 3
@@ -127,23 +126,22 @@ class Trainer:
         return state
 
     def _iterate(self, state: PPOState, collector: Collector) -> tuple[PPOState, RolloutBuffer]:
-        """One iteration of PPO: collect, reward, update the policy, update the reward learner."""
+        """One iteration of PPO: collect, reward, update the policy, update what rewards it."""
         self.interrupt()
         if state.config.final_log_std is not None:
             state.network.set_log_std(state.schedule.log_std(state.config, state.iteration))
         rollout, after = collector.collect(state.network, state.collector)
-        rewards = state.reward_learner.rewards(rollout)
-        episodes, ended = state.episodes.update(rewards, rollout.dones)
-        if state.network.eye is not None:
-            shaping = shaping_rewards(rollout, state.network.eye.nearness, gamma=state.config.gamma)
-            rewards = rewards + state.config.approach_weight * shaping
-        normaliser = state.normaliser
+        first, *added = [reward.rewards(rollout) for reward in state.rewards]
+        episodes, ended = state.episodes.update(first, rollout.dones)
+        rewards, normaliser = sum(added, start=first), state.normaliser
         if normaliser is not None:
             rewards, normaliser = normaliser.normalise(rewards, rollout.dones, gamma=state.config.gamma)
         learner, metrics = ppo.update(
             state.learner, rollout, rewards, state.config, schedule=state.schedule, interrupt=self.interrupt
         )
-        metrics |= state.reward_learner.update(rollout) | ended.metrics()
+        for reward in state.rewards:
+            metrics |= reward.update(rollout)
+        metrics |= ended.metrics()
         recorded = state.recorded + (0 if self.recorder is None else self.recorder.count(rollout))
         state = replace(
             state,

@@ -16,6 +16,7 @@ Observations: TypeAlias = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
 """Frames uint8 (N, H, W, C), or vectors float32 (N, D)."""
 Actions: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.int64]
 """float32 (N, A) in [-1, 1], or discrete int64 (N, 1)."""
+Frames: TypeAlias = npt.NDArray[np.uint8]
 Rewards: TypeAlias = npt.NDArray[np.float32]
 
 _SIM_HINT = "See the log of the sim service."

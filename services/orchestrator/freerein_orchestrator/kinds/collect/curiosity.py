@@ -23,15 +23,17 @@ from freerein.learning.model_files import choose_device
 from freerein.types.common import Trajectory
 from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator.envs.recovery import RecoveringCollector
-from freerein_orchestrator.envs.reward_fns import zero_reward
 from freerein_orchestrator.envs.vector_env import RemoteVectorEnv, open_groups
 from freerein_orchestrator.kinds.collect.config import CollectConfig
 from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.rewards.curiosity import CuriosityReward
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups
-from freerein_orchestrator.rl.icm import ICMConfig, ICMRewards
+from freerein_orchestrator.rl.icm import ICMConfig
+from freerein_orchestrator.rl.initial_network import network_spec
+from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.rollout import RolloutBuffer
-from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, network_spec
+from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state
 from freerein_orchestrator.rl.trainer import Trainer
 
 
@@ -54,7 +56,7 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
     spec = dataset_spec(task, cameras=config.cameras, height=config.height, width=config.width)
     ((camera, frame),) = spec.cameras.items()
     inputs: dict[str, JSON] = {**json.loads(json.dumps(asdict(config))), "sims": len(sims)}
-    ppo, make_icm = _ppo_config(config), partial(_make_icm, config)
+    ppo, make_rewards = _ppo_config(config), partial(_make_rewards, config)
 
     def open_envs(snapshots: Sequence[bytes]) -> EnvGroups[RemoteVectorEnv]:
         request = CreateSessionRequest(
@@ -66,19 +68,19 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
             conditions=config.conditions,
         )
         return open_groups(
-            sims, request, camera=camera, reward_fn=zero_reward, snapshots=snapshots, interrupt=retry.interrupt
+            sims, request, camera=camera, reward_fn=Reward().of_frames, snapshots=snapshots, interrupt=retry.interrupt
         )
 
     def init() -> PPOState:
         network = network_spec(ppo, observation=frame, action_size=task.action.size, action_choices=task.action.choices)
         with closing(open_envs(())) as envs:
-            return init_state(ppo, network, envs, device=device, make_reward_learner=make_icm, inputs=inputs)
+            return init_state(ppo, network, envs, device=device, make_rewards=make_rewards, inputs=inputs)
 
     with recording(root, spec, inputs) as writer:
         Trainer(
             context.folder,
             init=lambda: retry.call(init),
-            load=partial(from_checkpoint, config=ppo, device=device, make_reward_learner=make_icm, inputs=inputs),
+            load=partial(from_checkpoint, config=ppo, device=device, make_rewards=make_rewards, inputs=inputs),
             collector=lambda _: RecoveringCollector(open_envs, num_steps=ppo.num_steps, retry=retry),
             metrics_log=context.metrics_logger,
             interrupt=retry.interrupt,
@@ -140,8 +142,8 @@ def episode_slices(rollout: RolloutBuffer) -> list[tuple[int, int, int]]:
     return sorted(slices)
 
 
-def _make_icm(config: CollectConfig, policy: ActorCritic) -> ICMRewards:
-    return ICMRewards(ICMConfig(seed=config.seed), policy, transitions=config.num_envs * config.length)
+def _make_rewards(config: CollectConfig, policy: ActorCritic, _inputs: object) -> tuple[Reward, ...]:
+    return (CuriosityReward(ICMConfig(seed=config.seed), policy, transitions=config.num_envs * config.length),)
 
 
 def _ppo_config(config: CollectConfig) -> PPOConfig:

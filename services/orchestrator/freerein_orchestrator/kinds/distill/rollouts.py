@@ -29,8 +29,8 @@ from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator.envs.episodes import Episode, derive_seed, run_episodes
 from freerein_orchestrator.envs.policies import PolicyHandle, PolicySession, served_policy, stored_policy
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, common_action
-from freerein_orchestrator.envs.reward_fns import LearnedReward
 from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.rewards.learned import LearnedReward
 
 ROLLOUTS = "rollouts"
 Keep = Literal["all", "rewarded"]
@@ -117,9 +117,8 @@ class _Recording:
 
     def check_goal_texts(self) -> None:
         """Raises InvalidInput where a reward model does not know a word of its teacher's goal text."""
-        size = self._camera.height, self._camera.width, self._camera.channels
         for policy in self._policies:
-            self._retry.call(partial(self._reward_fn(policy).resolve_model, *size))
+            self._retry.call(partial(self._reward_of(policy).resolve, self._camera))
 
     def open(self) -> Writer:
         action, control_dt_s = common_action(self._tasks)
@@ -196,12 +195,12 @@ class _Recording:
     def _to_keep(self, policy: StoredPolicy, episodes: Sequence[Episode]) -> Sequence[Episode]:
         if self._plan.keep == "all":
             return episodes
-        reward_fn = self._reward_fn(policy)
+        reward = self._reward_of(policy)
         last = np.stack([episode.frames[self._camera.name][-2] for episode in episodes])  # of the recorded rollout
-        rewards = self._retry.call(lambda: reward_fn(last, None))
-        return [episode for episode, reward in zip(episodes, rewards, strict=True) if reward > 0]
+        rewards = self._retry.call(lambda: reward.of_frames(last))
+        return [episode for episode, each in zip(episodes, rewards, strict=True) if each > 0]
 
-    def _reward_fn(self, policy: StoredPolicy) -> LearnedReward:
+    def _reward_of(self, policy: StoredPolicy) -> LearnedReward:
         goal_text, model = str(policy.card["goal_text"]), ModelRef(**policy.card["model"])
         return LearnedReward(self._reward, goal_text, self._camera.name, model)
 

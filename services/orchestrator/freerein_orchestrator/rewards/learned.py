@@ -1,48 +1,44 @@
-"""Reward functions of frames: a served reward model, the oracle, or zero."""
+"""Reward `learned`: 1 where a reward model prefers the goal text to its rival captions, else 0."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeAlias, cast
+from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 
 from freerein.clients import SyncClient
-from freerein.errors import FailedPrecondition, InvalidInput
-from freerein.types.common import ModelRef
+from freerein.errors import InvalidInput
+from freerein.types.common import Camera, ModelRef
 from freerein.types.reward import Mode, RewardRequest, RewardResponse
+from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
 from freerein_orchestrator.rl.errors import IterationRejected
-from freerein_orchestrator.rl.vec_env import Rewards
+from freerein_orchestrator.rl.reward import Reward
+from freerein_orchestrator.rl.vec_env import Frames, Rewards
 
 _RANGES: Mapping[Mode, str] = {"binary": "0 or 1", "raw": "a similarity, within [-1, 1]"}
 _MAX_SIMILARITY = 1.001
 """Products in single precision may exceed 1 a little."""
 
-Frames: TypeAlias = npt.NDArray[np.uint8]
-RewardFn: TypeAlias = Callable[[Frames, Rewards | None], Rewards]
-"""Given M frames, uint8 (M, H, W, C), and their oracle rewards, float32 (M,), or None in an unprivileged session,
-returns rewards, float32 (M,)."""
-
 
 @dataclass(frozen=True)
-class LearnedReward:
-    """The rewards of a model of the reward service; a `RewardFn`.
+class LearnedReward(Reward):
+    """The rewards of a model of the reward service.
 
     Attributes:
-        reward: The service's client.
+        service: The service's client.
         goal_text: What the frames should show.
         camera: The frames' camera.
         model: Which model; with a version, so that it stays the same.
         mode: `binary`, 1 where the goal text beats its rival captions, else 0; or `raw`, the similarity.
     """
 
-    reward: SyncClient
+    service: SyncClient
     goal_text: str
     camera: str
     model: ModelRef = ModelRef()
     mode: Mode = "binary"
 
-    def __call__(self, frames: Frames, _oracle: Rewards | None) -> Rewards:
+    def of_frames(self, frames: Frames, _true_rewards: Rewards | None = None) -> Rewards:
         """Returns the rewards. A lone frame is sent twice: alone, the service would batch it with other requests.
 
         Raises:
@@ -58,12 +54,8 @@ class LearnedReward:
             )
         return rewards[: len(frames)]
 
-    def resolve_model(self, height: int, width: int, channels: int) -> ModelRef:
-        """Returns name and version of the model; as `resolve`."""
-        return self.resolve(height, width, channels).model
-
-    def resolve(self, height: int, width: int, channels: int) -> RewardResponse:
-        """Returns the model's answer to two blank frames of a size: which one it is, and how it reads the goal text.
+    def resolve(self, camera: Camera) -> RewardResponse:
+        """Returns the model's answer to two blank frames of a camera: which one it is, and how it reads the goal text.
 
         Raises:
             InvalidInput: The model does not know a word of the goal text, takes no such text, or no frames of this
@@ -71,7 +63,7 @@ class LearnedReward:
             NotFound: There is no such model.
             FailedPrecondition: None is active.
         """
-        answer = self._request(np.zeros((2, height, width, channels), np.uint8))
+        answer = self._request(np.zeros((2, camera.height, camera.width, camera.channels), np.uint8))
         if answer.unknown:
             raise InvalidInput(
                 f"The model must know every word of the goal text; it does not know {', '.join(answer.unknown)}.",
@@ -82,22 +74,30 @@ class LearnedReward:
 
     def _request(self, frames: Frames) -> RewardResponse:
         request = RewardRequest(self.goal_text, {self.camera: frames}, mode=self.mode, model=self.model)
-        return cast(RewardResponse, self.reward.reward(request))
+        return cast(RewardResponse, self.service.reward(request))
 
 
-def oracle_reward(_frames: Frames, oracle: Rewards | None) -> Rewards:
-    """Returns the task's true rewards, to compare with; a `RewardFn`.
+def served_entry(mode: Mode, supervision: str, *, default_model: str = "", encodes_objects: bool = True) -> RewardEntry:
+    """Returns the entry of a reward that the reward service computes.
 
-    Raises:
-        FailedPrecondition: The session is not privileged.
+    Args:
+        mode: Of the rewards.
+        supervision: For the cards of policies.
+        default_model: The model of a setting that names none; empty for the service's default.
+        encodes_objects: As of `RewardEntry`.
     """
-    if oracle is None:
-        raise FailedPrecondition(
-            "The oracle's reward needs a privileged session; this one is not.", hint="Ask for a learned reward."
-        )
-    return oracle
+
+    def reward(setting: RewardSetting) -> LearnedReward:
+        model = ModelRef(setting.model.name or default_model, setting.model.version)
+        return LearnedReward(setting.service, setting.goal_text, setting.camera.name, model, mode)
+
+    return RewardEntry(
+        lambda setting, _: reward(setting),
+        supervision,
+        frozenset({"frames"}),
+        resolve_model=lambda setting: reward(setting).resolve(setting.camera).model,
+        encodes_objects=encodes_objects,
+    )
 
 
-def zero_reward(frames: Frames, _oracle: Rewards | None) -> Rewards:
-    """Returns zeros; a `RewardFn`."""
-    return np.zeros(len(frames), np.float32)
+LEARNED = served_entry("binary", "goal text; the reward model saw images, noun phrases and captions made from pixels")

@@ -1,20 +1,27 @@
-"""The image encoder of a stored reward model, for the eye of a policy."""
+"""The eye of a new policy: its encoder is that of a stored reward model, and its body is found by random actions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning import model_files, tensor_files
+from freerein.learning.actor_critic.body import Exploration
 from freerein.learning.actor_critic.eye import EyeSpec
+from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.config import parse
 from freerein.learning.encoders.clip import ClipImageSpec
 from freerein.types.common import Camera
+from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.initial_network import random_actions
+from freerein_orchestrator.rl.vec_env import VecEnv, env_actions, observation_tensor
 
 _PREFIX = "image."
+_EXPLORATION_STEPS, _EXPLORATION_RANGE = 8, 0.5
 _HINT = "Choose a reward model that was fitted to frames of this camera, or the encoder `spatial`."
 
 
@@ -62,6 +69,49 @@ def load_object_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> O
     tensors = tensor_files.parse((folder / model_files.MODEL.weights).read_bytes())
     weights = {name.removeprefix(_PREFIX): each for name, each in tensors.items() if name.startswith(_PREFIX)}
     return ObjectEncoder(EyeSpec(image, first, second), weights)
+
+
+def fit_eye(
+    network: ActorCritic, envs: VecEnv, generator: torch.Generator, *, objects: Mapping[str, Tensor], explorations: int
+) -> None:
+    """Gives the eye of a new network its encoder of objects, and has it find the policy's body by random actions.
+
+    Args:
+        network: Changed.
+        envs: Explored.
+        generator: Draws the actions.
+        objects: Weights of the encoder, by name.
+        explorations: Sequences of actions in each environment.
+    """
+    if network.eye is None:
+        raise InvalidInput("A network to fit an eye of must have one.")
+    network.eye.load_objects(objects)
+    network.eye.fit(explore(network.spec, envs, generator, count=explorations), generator)
+
+
+def explored_steps(spec: ActorCriticSpec, config: PPOConfig) -> int:
+    """Returns the steps of all environments that went into fitting the eye of a network; 0 without one."""
+    return 0 if spec.eye is None else config.explorations * _EXPLORATION_STEPS * config.num_envs
+
+
+def explore(spec: ActorCriticSpec, envs: VecEnv, generator: torch.Generator, *, count: int) -> Exploration:
+    """Returns `count` short sequences of small random actions in each environment, from the starts of episodes.
+
+    Those in which an episode ended are left out.
+    """
+    sequences, moves = [], []
+    for _ in range(count):
+        frames = [observation_tensor(envs.reset(), spec, envs.num_envs)]
+        actions, has_ended = [], torch.zeros(envs.num_envs, dtype=torch.bool)
+        for _ in range(_EXPLORATION_STEPS):
+            actions.append(_EXPLORATION_RANGE * random_actions(spec, envs.num_envs, generator))
+            step = envs.step(env_actions(actions[-1]))
+            frames.append(observation_tensor(step.observations, spec, envs.num_envs))
+            has_ended |= torch.from_numpy(step.terminated | step.truncated)
+        sequences.append(torch.stack(frames, dim=1)[~has_ended])
+        moves.append(torch.stack(actions, dim=1)[~has_ended])
+    envs.rewards()  # unused
+    return Exploration(torch.cat(sequences), torch.cat(moves))
 
 
 def _pair(phrases: Sequence[str], caption: str) -> tuple[int, int]:

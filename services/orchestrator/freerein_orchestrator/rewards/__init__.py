@@ -1,0 +1,28 @@
+"""The rewards that a training may be given, a module each; `entry.py` is what one consists of."""
+
+from collections.abc import Mapping
+
+from freerein.learning.actor_critic.networks import ActorCritic
+from freerein_orchestrator.rewards.base import BASE
+from freerein_orchestrator.rewards.constant import CONSTANT
+from freerein_orchestrator.rewards.curiosity import CURIOSITY
+from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
+from freerein_orchestrator.rewards.learned import LEARNED
+from freerein_orchestrator.rewards.oracle import ORACLE
+from freerein_orchestrator.rewards.shaping import SHAPING
+from freerein_orchestrator.rl.reward import Reward
+
+REWARDS: Mapping[str, RewardEntry] = {
+    "learned": LEARNED,
+    "base": BASE,
+    "oracle": ORACLE,
+    "curiosity": CURIOSITY,
+    "constant": CONSTANT,
+    "shaping": SHAPING,
+}
+
+
+def make_rewards(entry: RewardEntry, setting: RewardSetting, network: ActorCritic) -> tuple[Reward, ...]:
+    """Returns the untrained reward of a training, and what is added to it: shaping, where the policy has an eye."""
+    added = [] if network.eye is None else [SHAPING]
+    return tuple(each.make(setting, network) for each in dict.fromkeys([entry, *added]))

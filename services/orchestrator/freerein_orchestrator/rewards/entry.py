@@ -1,0 +1,65 @@
+"""What a reward consists of, for the registry in `__init__.py`."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from freerein.clients import SyncClient
+from freerein.learning.actor_critic.networks import ActorCritic
+from freerein.types.common import Camera, ModelRef
+from freerein_orchestrator.rl.config import PPOConfig
+from freerein_orchestrator.rl.reward import Reward
+
+Sight = Literal["frames", "actions", "success_examples", "true_rewards"]
+
+
+@dataclass(frozen=True)
+class RewardSetting:
+    """What a training gives its reward.
+
+    Attributes:
+        config: Hyperparameters of the training.
+        goal_text: The goal in words.
+        camera: The camera of the frames, and their size.
+        model: The reward model; without a version until the training begins.
+        service: Client of the reward service.
+        data_dir: The data directory.
+        dataset: The dataset in it whose trajectories end in success; empty unless the reward sees such examples.
+    """
+
+    config: PPOConfig
+    goal_text: str
+    camera: Camera
+    model: ModelRef
+    service: SyncClient
+    data_dir: Path
+    dataset: str = ""
+
+
+@dataclass(frozen=True)
+class RewardEntry:
+    """A reward that a configuration may name.
+
+    Attributes:
+        make: Returns the untrained reward of a training, given the policy's network.
+        supervision: What it was told and by whom, for the cards of policies.
+        sees: What it is computed from.
+        privileged: Whether it knows what no learner may see. Only then is it given the true rewards that it sees.
+        encoder: The policy's encoder that it needs; empty for any.
+        resolve_model: Returns the version of the reward model that it is bound to; without a name where it needs none.
+        encodes_objects: Whether an eye may have the encoder of its reward model.
+    """
+
+    make: Callable[[RewardSetting, ActorCritic], Reward]
+    supervision: str
+    sees: frozenset[Sight]
+    privileged: bool = False
+    encoder: Literal["", "goal_eye", "spatial"] = ""
+    resolve_model: Callable[[RewardSetting], ModelRef] = lambda _: ModelRef()
+    encodes_objects: bool = True
+
+    @property
+    def gets_true_rewards(self) -> bool:
+        """Whether its sessions are privileged."""
+        return self.privileged and "true_rewards" in self.sees

@@ -1,0 +1,35 @@
+"""Rewards as entries of a registry: what each may see, and what it needs."""
+
+from dataclasses import replace
+
+import pytest
+
+from freerein.errors import InvalidInput
+from freerein.learning.config import parse
+from freerein_orchestrator.kinds.ppo import PPORunConfig, session_request
+from freerein_orchestrator.rewards import REWARDS
+
+
+@pytest.mark.parametrize("name", REWARDS)
+def test_only_rewards_that_declare_themselves_privileged_get_privileged_state(name: str) -> None:
+    entry = REWARDS[name]
+    given = {"encoder": entry.encoder or "goal_eye", "dataset": "won" if "success_examples" in entry.sees else ""}
+    config = parse(PPORunConfig, {"task": "grid", "reward": name, **given})
+    assert session_request(config).privileged == (entry.privileged and "true_rewards" in entry.sees)
+    assert entry.privileged or not entry.sees & {"true_rewards", "success_examples"}
+    assert not replace(entry, privileged=False).gets_true_rewards
+
+
+@pytest.mark.parametrize(
+    ("config", "field"),
+    [
+        ({"reward": "learnt"}, "config.reward"),
+        ({"reward": "curiosity"}, "config.encoder"),
+        ({"reward": "shaping", "encoder": "spatial"}, "config.encoder"),
+        ({"dataset": "won"}, "config.dataset"),
+    ],
+)
+def test_what_a_reward_does_not_take_is_refused(config: dict[str, str], field: str) -> None:
+    with pytest.raises(InvalidInput) as refused:
+        parse(PPORunConfig, {"task": "grid", **config})
+    assert refused.value.field == field
