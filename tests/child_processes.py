@@ -1,4 +1,4 @@
-"""Which child processes run a module."""
+"""Which child processes run a module, and how to stop one."""
 
 from contextlib import suppress
 
@@ -11,6 +11,13 @@ def children_running(module: str, parent: int | None = None) -> list[psutil.Proc
     Children of children are among them, as those of a fork server are, which are told by their names.
     """
     return [child for child in psutil.Process(parent).children(recursive=True) if _runs(child, module)]
+
+
+def stop(process: psutil.Process) -> None:
+    """Stops a process, and returns when it has stopped."""
+    process.suspend()
+    while process.status() != psutil.STATUS_STOPPED:
+        pass
 
 
 def _runs(process: psutil.Process, module: str) -> bool:

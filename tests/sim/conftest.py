@@ -1,11 +1,15 @@
-"""What tests of worlds share."""
+"""What tests of worlds and of worker processes share."""
 
+import socket
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
 
+from freerein.fork_server import ForkServer, StartChild
 from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import TaskDefinition
 
@@ -29,3 +33,15 @@ def keep_open() -> Iterator[KeepOpen]:
                 world.render(camera.name, height=camera.height, width=camera.width)
 
         yield keep
+
+
+@pytest.fixture(scope="session")
+def fork_worker() -> Iterator[StartChild]:
+    """A function that starts worker processes as the service does, by a fork; they descend from this process."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with theirs:
+        command = [sys.executable, "-m", "tests.sim.fork_workers", str(theirs.fileno())]
+        server = subprocess.Popen(command, pass_fds=[theirs.fileno()])
+    yield ForkServer(ours).start
+    ours.close()
+    server.wait(60)

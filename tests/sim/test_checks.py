@@ -9,6 +9,7 @@ import pytest
 import pytest_asyncio
 
 from freerein.errors import FailedPrecondition, InvalidInput, Unimplemented
+from freerein.fork_server import StartChild
 from freerein.types.sim import (
     CheckRequest,
     CreateSessionRequest,
@@ -31,8 +32,8 @@ STATES = np.zeros((2, 3, 12))
 
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
-async def core() -> AsyncIterator[SimCore]:
-    shared = SimCore(WorkerPool(workers=1))
+async def core(fork_worker: StartChild) -> AsyncIterator[SimCore]:
+    shared = SimCore(WorkerPool(fork_worker, workers=1))
     await shared.start()
     yield shared
     await shared.close()

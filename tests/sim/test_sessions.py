@@ -1,7 +1,6 @@
 """The rules of sessions, over real worker processes."""
 
 import asyncio
-import os
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, replace
 
@@ -9,7 +8,7 @@ import numpy as np
 import psutil
 import pytest
 import pytest_asyncio
-from tests.child_processes import children_running
+from tests.child_processes import children_running, stop
 
 from freerein.errors import (
     AlreadyExists,
@@ -23,6 +22,7 @@ from freerein.errors import (
     Unavailable,
     WorkerLost,
 )
+from freerein.fork_server import StartChild
 from freerein.types.sim import (
     CheckRequest,
     CloseSessionRequest,
@@ -81,16 +81,18 @@ class SharedPool(WorkerPool):
 
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module")
-async def shared() -> AsyncIterator[tuple[SharedPool, Workers]]:
+async def shared(fork_worker: StartChild) -> AsyncIterator[tuple[SharedPool, Workers]]:
     """The pool of tests that harm no worker, and its worker."""
-    others, pool = children(), SharedPool(workers=1)
+    others, pool = children(), SharedPool(fork_worker, workers=1)
     await pool.start()
     yield pool, [child for child in children() if child not in others]
     await pool.end()
 
 
 @pytest_asyncio.fixture(loop_scope="module")
-async def start(clock: Clock, shared: tuple[SharedPool, Workers]) -> AsyncIterator[StartSessions]:
+async def start(
+    clock: Clock, shared: tuple[SharedPool, Workers], fork_worker: StartChild
+) -> AsyncIterator[StartSessions]:
     """A function that starts sessions of the test's own, closed with it, and returns their workers too.
 
     Their workers are shared unless the test says how many, or which pool.
@@ -101,7 +103,7 @@ async def start(clock: Clock, shared: tuple[SharedPool, Workers]) -> AsyncIterat
         *, workers: int = 0, max_sessions: int = 64, max_envs: int = 512, pool: WorkerPool | None = None
     ) -> tuple[SimCore, Workers]:
         is_shared = not (pool or workers)
-        others, pool = children(), shared[0] if is_shared else pool or WorkerPool(workers=workers)
+        others, pool = children(), shared[0] if is_shared else pool or WorkerPool(fork_worker, workers=workers)
         started.append(SimCore(pool, max_sessions=max_sessions, max_envs=max_envs, clock=clock))
         await started[-1].start()
         return started[-1], shared[1] if is_shared else [child for child in children() if child not in others]
@@ -128,12 +130,6 @@ async def begun(sessions: SimCore, request: CreateSessionRequest = ONE) -> str:
 
 async def snapshot(sessions: SimCore, session: str) -> bytes:
     return (await sessions.snapshot(SnapshotRequest(session))).snapshot
-
-
-def stop(process: psutil.Process) -> None:
-    """Stops a process, and returns when it has stopped."""
-    process.suspend()
-    os.waitid(os.P_PID, process.pid, os.WSTOPPED)
 
 
 def children() -> Workers:
@@ -633,9 +629,9 @@ async def test_a_session_that_has_expired_makes_room_at_once(start: StartSession
 
 
 async def test_a_session_that_ended_or_was_never_made_takes_nothing_of_its_worker(
-    start: StartSessions, clock: Clock
+    start: StartSessions, clock: Clock, fork_worker: StartChild
 ) -> None:
-    pool = WorkerPool(workers=1)
+    pool = WorkerPool(fork_worker, workers=1)
     sessions, _ = await start(pool=pool)
     closed, expired = await begun(sessions), await begun(sessions)
 
@@ -697,9 +693,9 @@ async def test_a_worker_that_dies_takes_its_own_sessions_only(start: StartSessio
 
 @pytest.mark.fault("M6")
 async def test_a_session_whose_worker_died_makes_room_and_frees_its_key_and_still_says_why_once(
-    start: StartSessions,
+    start: StartSessions, fork_worker: StartChild
 ) -> None:
-    pool = WorkerPool(workers=1)
+    pool = WorkerPool(fork_worker, workers=1)
     sessions, (victim,) = await start(max_sessions=1, pool=pool)
     request = replace(ONE, idempotency_key="mine")
     lost, worker = await begun(sessions, request), await pool.place(0)
@@ -717,8 +713,10 @@ async def test_a_session_whose_worker_died_makes_room_and_frees_its_key_and_stil
 
 
 @pytest.mark.fault("M6")
-async def test_a_lost_session_is_not_there_once_its_lease_has_ended(start: StartSessions, clock: Clock) -> None:
-    pool = WorkerPool(workers=1)
+async def test_a_lost_session_is_not_there_once_its_lease_has_ended(
+    start: StartSessions, clock: Clock, fork_worker: StartChild
+) -> None:
+    pool = WorkerPool(fork_worker, workers=1)
     sessions, (victim,) = await start(pool=pool)
     lost, worker = await begun(sessions), await pool.place(0)
     victim.kill()
@@ -766,9 +764,9 @@ async def test_a_service_that_closes_does_not_wait_for_a_call_that_nobody_awaits
     assert asyncio.all_tasks() <= tasks
 
 
-async def test_a_closed_service_has_no_processes_and_no_files_open() -> None:
+async def test_a_closed_service_has_no_processes_and_no_files_open(fork_worker: StartChild) -> None:
     files, processes, tasks = psutil.Process().num_fds(), set(children()), asyncio.all_tasks()
-    sessions = SimCore(WorkerPool(workers=2))
+    sessions = SimCore(WorkerPool(fork_worker, workers=2))
     await sessions.start()
     await begun(sessions)
 

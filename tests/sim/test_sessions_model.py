@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, rule, run_state_machine_as_test
 
 from freerein.errors import Overloaded, ServiceError, SessionNotFound, StepOutOfOrder
+from freerein.fork_server import StartChild
 from freerein.types.sim import (
     CloseSessionRequest,
     CreateSessionRequest,
@@ -37,10 +38,10 @@ Outcome = tuple[object, ...] | type[ServiceError]
 class Service:
     """The service under test, driven from outside its event loop, and its clock."""
 
-    def __init__(self, runner: asyncio.Runner) -> None:
+    def __init__(self, runner: asyncio.Runner, fork_worker: StartChild) -> None:
         self.now_s = 0.0
         self.run = runner.run
-        self.sessions = SimCore(WorkerPool(workers=2), max_sessions=MAX_SESSIONS, clock=lambda: self.now_s)
+        self.sessions = SimCore(WorkerPool(fork_worker, workers=2), max_sessions=MAX_SESSIONS, clock=lambda: self.now_s)
 
 
 @dataclass(eq=False)
@@ -172,9 +173,9 @@ class Clients(RuleBasedStateMachine):
 
 
 @pytest.mark.fault("M7")
-def test_sessions_answer_as_environments_in_process_whatever_is_asked() -> None:
+def test_sessions_answer_as_environments_in_process_whatever_is_asked(fork_worker: StartChild) -> None:
     with asyncio.Runner() as runner:
-        service = Service(runner)
+        service = Service(runner, fork_worker)
         runner.run(service.sessions.start())
         try:
             run_state_machine_as_test(

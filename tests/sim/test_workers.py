@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from tests.child_processes import children_running
+from tests.child_processes import children_running, stop
 
 from freerein.errors import (
     FailedPrecondition,
@@ -28,6 +28,7 @@ from freerein.errors import (
     TooLarge,
     WorkerLost,
 )
+from freerein.fork_server import StartChild
 from freerein.types.common import Error, error_from
 from freerein.types.sim import (
     CloseSessionRequest,
@@ -118,12 +119,12 @@ class Hopeless(GridWorld):
 
 
 @pytest.fixture
-async def start_pool() -> AsyncIterator[StartPool]:
+async def start_pool(fork_worker: StartChild) -> AsyncIterator[StartPool]:
     """A function that starts a pool, closed with the test."""
     pools: list[WorkerPool] = []
 
     async def start(**options: float) -> WorkerPool:
-        pools.append(WorkerPool(**options))
+        pools.append(WorkerPool(fork_worker, **options))
         await pools[-1].start()
         return pools[-1]
 
@@ -139,12 +140,6 @@ def children() -> list[psutil.Process]:
 
 def open_files(pid: int) -> set[int]:
     return {int(each.name) for each in Path(f"/proc/{pid}/fd").iterdir()}
-
-
-def stop(process: psutil.Process) -> None:
-    """Stops a process, and returns when it has stopped."""
-    process.suspend()
-    os.waitid(os.P_PID, process.pid, os.WSTOPPED)
 
 
 async def create(worker: Worker, task: str, *, num_envs: int, seed: int = 5) -> str:
@@ -270,9 +265,9 @@ async def test_a_worker_has_one_thread_and_no_socket_but_its_own(start_pool: Sta
         assert len(open_files(child.pid) - {0, 1, 2}) == 1
 
 
-async def test_a_service_that_closes_leaves_no_process_and_no_file_open() -> None:
+async def test_a_service_that_closes_leaves_no_process_and_no_file_open(fork_worker: StartChild) -> None:
     before = open_files(os.getpid())
-    pool = WorkerPool(workers=2)
+    pool = WorkerPool(fork_worker, workers=2)
     await pool.start()
     stop(children()[0])  # will not exit by itself
 
@@ -532,8 +527,8 @@ def test_an_expert_that_fails_again_and_again_is_refused_not_recorded() -> None:
 
 
 @pytest.mark.fault("M6")
-async def test_a_worker_that_hangs_while_it_starts_does_not_hold_up_the_end() -> None:
-    pool = WorkerPool(workers=1, stuck_s=600.0)
+async def test_a_worker_that_hangs_while_it_starts_does_not_hold_up_the_end(fork_worker: StartChild) -> None:
+    pool = WorkerPool(fork_worker, workers=1, stuck_s=600.0)
     starting = asyncio.create_task(pool.start())
     while not children():  # noqa: ASYNC110  # no event tells of a process
         await asyncio.sleep(0)
