@@ -154,19 +154,6 @@ def test_a_world_that_diverges_says_so_and_begins_anew(begin: MakeEnvs) -> None:
     assert not envs.step(np.zeros((3, 1), np.int64)).diverged.any()
 
 
-@pytest.mark.fault("M5")
-def test_a_physics_that_blows_up_is_reported_never_reset_away(begin: MakeEnvs) -> None:
-    envs = begin(BLOCKS, num_envs=2)
-    kept = snapshots.decode(envs.snapshot())
-    world = bytearray(kept.envs[1].world)
-    numbers = np.frombuffer(world, "<f8", offset=8)
-    numbers[len(numbers) // 8 : len(numbers) // 2] = 1e200  # positions and velocities beyond any physics
-    violent = replace(kept, envs=(kept.envs[0], replace(kept.envs[1], world=bytes(world))))
-    envs.restore(snapshots.encode(violent))
-
-    assert envs.step(np.zeros((2, 3), np.float32)).diverged.tolist() == [False, True]
-
-
 @pytest.mark.fault("M4")
 @pytest.mark.parametrize(
     ("task", "actions"),
@@ -268,7 +255,7 @@ def test_only_the_privileged_see_the_truth_and_nobody_gets_its_reward_as_reward(
 
 
 @pytest.mark.fault("M10")
-@pytest.mark.parametrize("task", [GRID, BLOCKS, TASKS["blocks.red-on-top-of-green"]], ids=lambda task: task.name)
+@pytest.mark.parametrize("task", [GRID, BLOCKS], ids=["grid", "blocks"])
 def test_restored_at_any_cut_the_same_actions_give_the_same_bits(
     begin: MakeEnvs, make: MakeEnvs, task: TaskDefinition
 ) -> None:

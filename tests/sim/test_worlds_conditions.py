@@ -144,8 +144,8 @@ def test_the_expert_travels_at_its_speed() -> None:
     lengths = {}
     for speed in ("nominal", "speed-0.5", "speed-2"):
         with closing(build(TASKS["blocks"], () if speed == "nominal" else (speed,))) as world:
-            request = DemonstrateRequest("blocks", "expert", min_skills=3, count=4, seed=1, height=1, width=1)
-            made = [make_demonstration(TASKS["blocks"], world, replace(request, first=i)) for i in range(4)]
+            request = DemonstrateRequest("blocks", "expert", min_skills=3, count=2, seed=1, height=1, width=1)
+            made = [make_demonstration(TASKS["blocks"], world, replace(request, first=i)) for i in range(2)]
             actions = np.concatenate([each.trajectory.actions for each in made])
             lengths[speed] = len(actions)
 

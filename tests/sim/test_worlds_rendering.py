@@ -14,7 +14,7 @@ from freerein.cli.doctor import machine
 from freerein.errors import FailedPrecondition
 from freerein.serving.lifecycle import CONFIGURATION_ERROR
 from freerein_sim.worlds.blocks import TASKS
-from freerein_sim.worlds.opengl import check_rendering
+from freerein_sim.worlds.opengl import check_rendering, choose_backend
 from freerein_sim.worlds.rendering import gray, open_renderer
 from freerein_sim.worlds.world import Frame, World
 
@@ -30,6 +30,17 @@ try:
     world.close()
 except ServiceError as error:
     print("mujoco" in sys.modules, error.detail, error.hint, sep="|")
+"""
+CHOOSE = """
+import os
+from freerein.errors import ServiceError
+from freerein_sim.worlds.opengl import choose_backend
+for backend in ("", "egl", "osmesa"):
+    os.environ["MUJOCO_GL"] = backend
+    try:
+        print(choose_backend())
+    except ServiceError as error:
+        print(error.detail, error.hint, sep="|")
 """
 HINT = "Install one: apt-get install libegl1 libgl1 (MUJOCO_GL=egl) or libosmesa6 (MUJOCO_GL=osmesa)."
 
@@ -49,11 +60,15 @@ def environ(**variables: str) -> dict[str, str]:
     return inherited | variables
 
 
-def run(**variables: str) -> str:
+def run(code: str, **variables: str) -> list[str]:
     done = subprocess.run(
-        [sys.executable, "-c", RENDER], env=environ(**variables), capture_output=True, text=True, check=True
+        [sys.executable, "-c", code], env=environ(**variables), capture_output=True, text=True, check=True
     )
-    return done.stdout.strip()
+    return done.stdout.splitlines()
+
+
+def cannot(backends: str) -> str:
+    return f"Expected to render with {backends}; this machine cannot.|{HINT}"
 
 
 @pytest.fixture
@@ -70,56 +85,38 @@ def without(tmp_path: Path) -> Callable[[str], str]:
 
 @pytest.mark.parametrize("backend", ["egl", "osmesa"])
 def test_both_backends_draw(backend: str) -> None:
-    assert run(MUJOCO_GL=backend) == "True"
-
-
-@pytest.mark.parametrize(("backend", "library"), [("egl", "EGL"), ("OSMesa ", "OSMesa")])
-def test_a_backend_without_its_library_is_refused_before_mujoco_is_imported(
-    backend: str, library: str, without: Callable[[str], str]
-) -> None:
-    asked = backend.strip().lower()
-
-    assert run(MUJOCO_GL=backend, LD_LIBRARY_PATH=without(library)) == (
-        f"False|Expected to render with {asked}; this machine cannot.|{HINT}"
-    )
+    assert run(RENDER, MUJOCO_GL=backend) == ["True"]
 
 
 def test_a_backend_that_there_is_not_is_refused_before_mujoco_is_imported() -> None:
-    assert run(MUJOCO_GL="vulkan") == (
+    assert run(RENDER, MUJOCO_GL="vulkan") == [
         "False|Expected MUJOCO_GL to be egl, osmesa or glfw, or not set; got vulkan.|Unset MUJOCO_GL."
-    )
-
-
-def test_osmesa_is_used_where_there_is_no_egl(without: Callable[[str], str]) -> None:
-    assert run(LD_LIBRARY_PATH=without("EGL")) == "True"
+    ]
 
 
 @pytest.mark.fault("M12")
-def test_a_machine_that_cannot_draw_says_what_to_install(without: Callable[[str], str]) -> None:
-    without("EGL")
+@pytest.mark.parametrize(
+    ("missing", "chosen"),
+    [
+        (("EGL",), ["osmesa", cannot("egl"), "osmesa"]),
+        (("OSMesa",), ["egl", "egl", cannot("osmesa")]),
+        (("EGL", "OSMesa"), [cannot("egl or osmesa"), cannot("egl"), cannot("osmesa")]),
+    ],
+)
+def test_the_backend_that_there_is_is_used_and_a_machine_that_cannot_draw_says_what_to_install(
+    missing: tuple[str, ...], chosen: list[str], without: Callable[[str], str]
+) -> None:
+    (path,) = {without(library) for library in missing}
 
-    assert run(LD_LIBRARY_PATH=without("OSMesa")) == (
-        f"True|Expected to render with egl or osmesa; this machine cannot.|{HINT}"
-    )
+    assert run(CHOOSE, LD_LIBRARY_PATH=path) == chosen
 
 
-def test_pyopengl_on_another_platform_is_refused_before_mujoco_is_imported() -> None:
-    assert run(MUJOCO_GL="egl", PYOPENGL_PLATFORM="glx").startswith("False|Expected PYOPENGL_PLATFORM")
-    assert run(PYOPENGL_PLATFORM="glx").startswith("True|Expected PYOPENGL_PLATFORM")
-
-
-def test_the_service_does_not_start_with_a_backend_that_is_missing(without: Callable[[str], str]) -> None:
-    ended = subprocess.run(
-        [sys.executable, "-m", "freerein_sim"],
-        env=environ(MUJOCO_GL="osmesa", LD_LIBRARY_PATH=without("OSMesa")),
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-
-    assert ended.returncode == CONFIGURATION_ERROR
-    assert HINT in ended.stderr
+@pytest.mark.parametrize("backend", ["egl", ""])
+def test_pyopengl_on_another_platform_is_refused(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", backend)
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "glx")
+    with pytest.raises(FailedPrecondition, match="Expected PYOPENGL_PLATFORM"):
+        choose_backend()
 
 
 SAID = {
@@ -137,20 +134,17 @@ SAID = {
 
 
 @pytest.mark.parametrize(("variables", "said"), SAID.values(), ids=SAID)
-def test_what_mujoco_says_is_said_by_worlds_the_service_at_its_start_and_the_doctor(
+def test_what_mujoco_says_is_said_by_the_service_at_its_start(
     variables: dict[str, str], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert said in run(**variables)
     for name in ("MUJOCO_GL", "PYOPENGL_PLATFORM", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     with pytest.raises(FailedPrecondition) as refused:
         check_rendering()
-    found = machine.check_rendering()
-    assert (found.state, found.detail, found.fix) == ("problem", refused.value.detail, refused.value.hint)
-    assert said in found.detail
-    assert "apt-get" not in found.fix
+    assert said in refused.value.detail
+    assert "apt-get" not in refused.value.hint
 
 
 def test_the_service_does_not_start_with_a_device_that_there_is_not() -> None:
@@ -166,12 +160,17 @@ def test_the_service_does_not_start_with_a_device_that_there_is_not() -> None:
     assert "must be an integer between 0 and" in ended.stderr
 
 
-def test_the_doctor_says_with_what_the_service_renders(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_doctor_says_with_what_the_service_renders_and_what_mujoco_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
     found = machine.check_rendering()
     assert (found.state, found.detail.split(":")[0]) == ("ok", "osmesa")
-    check_rendering()
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    monkeypatch.setenv("DISPLAY", "")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    found = machine.check_rendering()
+    assert (found.state, found.fix) == ("problem", "Unset MUJOCO_GL, or set it to egl or osmesa.")
+    assert "Expected a screen for MUJOCO_GL=glfw" in found.detail
 
 
 def test_worlds_that_share_a_context_see_each_their_own_scene() -> None:
