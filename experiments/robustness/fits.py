@@ -6,7 +6,6 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import torch
 
@@ -14,22 +13,16 @@ from experiments.workbench.cache_paths import cache_path
 from experiments.workbench.locks import locked
 from freerein.learning import model_files
 from freerein.learning.checkpoints import JSON
-from freerein.learning.fit import FitResult, Learner, fit_and_save
+from freerein.learning.fit import FitResult, fit_and_save
 from freerein.learning.fit_config import FitConfig
+from freerein.learning.learner import Learner
 from freerein.learning.train_state import N
-
-
-class CalibratedLearner(Learner[N], Protocol[N]):
-    """A learner whose network has an in-distribution score."""
-
-    def calibrate(self, network: N) -> None:
-        """Fits the score."""
 
 
 def fit_once(
     config: FitConfig,
     inputs: Sequence[JSON],
-    make_learner: Callable[[], CalibratedLearner[N]],
+    make_learner: Callable[[], Learner[N]],
     *,
     work: Path,
     on_progress: Callable[[], None],
@@ -45,7 +38,6 @@ def fit_once(
             learner = make_learner()
 
             def save(fitted: FitResult[N], model: Path) -> None:
-                learner.calibrate(fitted.network)
                 model_files.save_model(fitted.network, model, card={"figures": fitted.figures})
 
             if not fit_and_save(learner, folder, save, on_event=lambda _: on_progress()):

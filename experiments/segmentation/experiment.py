@@ -27,7 +27,8 @@ from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.jobs.child import stop_on_sigterm
 from freerein.learning.checkpoints import JSON
-from freerein.learning.fit import FitResult, Learner, fit
+from freerein.learning.fit import FitResult, fit
+from freerein.learning.learner import Learner
 from freerein.learning.model_files import choose_device
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, held_out_action_loss

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from experiments.segmentation import truth, weakly_supervised
 from experiments.segmentation.dataset import DatasetSpec
 from freerein.data.cache import StepCache
-from freerein.learning.optimiser import fit_step
+from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein_segmentation.model import SegmentationNetwork
@@ -26,16 +25,19 @@ State = TrainState[SegmentationNetwork]
 
 def make_learner(config: SegmentationConfig, spec: DatasetSpec, folder: Path) -> "SupervisedLearner":
     """Returns the learner of true labels of the dataset in a folder; `config.objective` is not used."""
+    weak = weakly_supervised.make_learner(config, spec, folder)
     return SupervisedLearner(
-        weakly_supervised.make_learner(config, spec, folder),
+        config,
+        weak.fingerprint,
+        weak,
         truth.open_labels(folder, "train"),
         truth.open_labels(folder, "validation"),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class SupervisedLearner:
-    """A `freerein.learning.fit.Learner` whose loss is the cross-entropy of the true label of each timestep.
+class SupervisedLearner(Learner[SegmentationNetwork]):
+    """A learner whose loss is the cross-entropy of the true label of each timestep.
 
     Attributes:
         weak: The learner whose network, configuration and demonstrations it uses.
@@ -43,34 +45,26 @@ class SupervisedLearner:
         validation_labels: int64 (T,) per validation trajectory.
     """
 
+    config: SegmentationConfig
+    fingerprint: str
     weak: SegmentationLearner
     labels: StepCache[np.int64]
     validation_labels: StepCache[np.int64]
-
-    @property
-    def config(self) -> SegmentationConfig:
-        """The whole configuration of the fit."""
-        return self.weak.config
 
     @property
     def size(self) -> int:
         """Number of training trajectories."""
         return self.weak.size
 
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the training data."""
-        return self.weak.fingerprint
-
     def init(self, generator: torch.Generator) -> State:
         """Returns the same initial state as the weakly supervised learner."""
         return self.weak.init(generator)
 
-    def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
-        """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
+    def loss(self, state: State, items: Items) -> Losses:
+        """Returns the loss of some trajectories."""
         phases = torch.randint(self.weak.spec.stride, (len(items),), generator=state.generator).tolist()
-        loss = self._losses(state.network, self.weak.training, self.labels, items.tolist(), phases).mean()
-        return fit_step(state, loss, self.config)
+        losses = self._losses(state.network, self.weak.training, self.labels, items.tolist(), phases)
+        return {"train_loss": losses.mean()}
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:

@@ -107,7 +107,7 @@ def _untried(losses: Mapping[float, float], first: Sequence[float]) -> list[floa
 
 
 def _until_final(config: SegmentationConfig, *, steps: int) -> SegmentationConfig:
-    return replace(config, steps=steps, context=config.context_at(0), **_WITHOUT_FINAL)
+    return replace(config, steps=steps, context=config.context_before_final, **_WITHOUT_FINAL)
 
 
 def _trials_name(arm: Arm) -> str:

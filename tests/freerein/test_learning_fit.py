@@ -8,27 +8,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from tests.freerein.line import CONFIG, CUT, Line
+from tests.freerein.line import CONFIG, CUT, STAGE_END, Line
 from torch import nn
 
 from freerein.errors import FailedPrecondition, OutOfStorage
 from freerein.learning import checkpoints, weights
 from freerein.learning.fit import FitEvent, FitResult, fit, fit_and_save
 from freerein.learning.fit_config import FitConfig
-from freerein.learning.optimiser import optimiser_step
+from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 
 
 class Diverging(Line):
-    def update(
-        self, state: TrainState[nn.Linear], items: npt.NDArray[np.int64]
-    ) -> tuple[TrainState[nn.Linear], Mapping[str, float]]:
-        return replace(state, step=state.step + 1), {"train_loss": float("nan")}
+    def loss(self, state: TrainState[nn.Linear], items: Items) -> Losses:
+        return {"train_loss": super().loss(state, items)["train_loss"] * float("nan")}
 
 
 class Normalised(nn.Module):
@@ -44,7 +40,7 @@ class Normalised(nn.Module):
         return y
 
 
-class NormalisedLine:
+class NormalisedLine(Learner[Normalised]):
     """Fits `Normalised`, and leaves it in training mode after updates and in evaluation mode after evaluations."""
 
     config = CONFIG
@@ -54,14 +50,11 @@ class NormalisedLine:
     def init(self, generator: torch.Generator) -> TrainState[Normalised]:
         network = Normalised()
         weights.initialise(network, generator=generator)
-        return TrainState(network, torch.optim.Adam(network.parameters(), 0.1), generator)
+        return TrainState.with_adam(network, 0.1, generator=generator)
 
-    def update(
-        self, state: TrainState[Normalised], items: npt.NDArray[np.int64]
-    ) -> tuple[TrainState[Normalised], Mapping[str, float]]:
+    def loss(self, state: TrainState[Normalised], items: Items) -> Losses:
         x = torch.from_numpy(items).float()[:, None]
-        loss = (state.network.train()(x) - x).square().mean()
-        return optimiser_step(state, loss, lr=0.1), {"train_loss": loss.item()}
+        return {"train_loss": (state.network.train()(x) - x).square().mean()}
 
     @torch.no_grad()
     def evaluate(self, state: TrainState[Normalised]) -> float:
@@ -195,15 +188,27 @@ def test_a_key_that_a_later_version_adds_is_as_by_default_in_earlier_checkpoints
     assert run(tmp_path / "parts", Line(LaterConfig(**vars(CONFIG))))[0] == undisturbed[0]
 
 
-def test_the_weights_that_did_best_on_held_out_data_are_returned(tmp_path: Path, undisturbed: tuple[str, str]) -> None:
+def test_the_weights_of_the_last_stage_that_did_best_on_held_out_data_are_returned(
+    tmp_path: Path, undisturbed: tuple[str, str]
+) -> None:
     losses = {
         row["step"]: row["validation_loss"] for row in map(json.loads, undisturbed[1].splitlines()) if len(row) == 3
     }
     assert sorted(losses) == [4, 8, 12]
+    best = fit(Line(replace(CONFIG, lr=0.5)), tmp_path / "best at first")
+    assert best is not None
+    earliest = json.loads(rows(tmp_path / "best at first").splitlines()[1])
+    assert earliest["step"] == 4
+    assert earliest["validation_loss"] < best.validation_loss
     fitted = fit(Line(), tmp_path / "undisturbed")
     assert fitted is not None
+    losses.pop(4)
     assert fitted.best_step == min(losses, key=losses.__getitem__)
-    assert (fitted.network.weight - 2).abs().item() == fitted.validation_loss == min(losses.values())
+    assert (fitted.network.weight - 2).abs().item() == fitted.validation_loss == losses[fitted.best_step]
+
+
+def test_rows_of_metrics_are_means_over_steps_of_one_stage(undisturbed: tuple[str, str]) -> None:
+    assert [json.loads(row)["step"] for row in undisturbed[1].splitlines()] == [3, 4, STAGE_END, 6, 8, 9, 12]
 
 
 def test_a_loss_that_is_not_finite_ends_the_training_with_advice(tmp_path: Path) -> None:

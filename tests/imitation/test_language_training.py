@@ -14,7 +14,6 @@ from freerein.learning import weights
 from freerein.learning.fit import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
-from freerein_imitation.methods import METHODS
 from freerein_imitation.model.language import LanguagePolicy
 from freerein_imitation.model.policy import NEVER_REACHED, ControlSpec
 from freerein_imitation.model.text_encoder import TextEncoder
@@ -79,7 +78,7 @@ def test_the_sentence_decides_what_is_done(text_encoder_file: bytes, tmp_path: P
 def test_few_held_out_frames_have_low_in_distribution_scores_and_noise_has(text_encoder_file: bytes) -> None:
     learner = prepare(text_encoder_file, count=40)
     network = learner.init(torch.Generator().manual_seed(0)).network
-    METHODS.by_name["language"].calibrate(learner, network)
+    learner.calibrate(network)
     control = ControlSpec(0.1, NEVER_REACHED, 8)
     policy = LanguagePolicy(network, TextEncoder(text_encoder_file), control, training_texts=TEXTS)
 

@@ -56,7 +56,7 @@ def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(method: str, source: Fit
         fitted = fit(learner, folder, stop=stop)
         if fitted is None:
             return ""
-        chosen.calibrate(learner, fitted.network)
+        learner.calibrate(fitted.network)
         assert fitted.network.in_distribution.distances.any()
         return weights.sha256(fitted.network)
 

@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +19,9 @@ from freerein_segmentation.model import Context, ModelSpec, SegmentationNetwork
 from freerein_segmentation.model.action_model import ActionModel
 from freerein_segmentation.objectives.labels import NO_SKILL, label_cross_entropy
 from freerein_segmentation.objectives.set_likelihood import set_likelihood
-from freerein_segmentation.training import SegmentationConfig, held_out_action_loss
+from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, held_out_action_loss
 from freerein_segmentation.training.batches import TrajectoryBatch
-from freerein_segmentation.training.self_training import Teacher, action_posterior, begin_round
+from freerein_segmentation.training.self_training import Teacher, action_posterior
 from freerein_segmentation.training.viterbi import viterbi
 
 B, T, K = 3, 6, 4
@@ -116,15 +116,25 @@ def test_action_evidence_is_a_bounded_posterior() -> None:
     torch.testing.assert_close(found, torch.tensor([[math.log(0.25), math.log(0.75)], [-5.0, 0.0]]))
 
 
-def test_the_last_objective_takes_its_share_of_the_steps_and_chooses_the_weights_alone() -> None:
-    config = SegmentationConfig(steps=100, final_objective="self_training", final_share=0.6, rounds=4)
-    assert (config.final_from, config.round_starts, config.selected_after) == (40, (40, 55, 70, 85), 85)
-    config = replace(config, final_objective="set_likelihood")
-    assert (config.final_from, config.round_starts, config.selected_after) == (40, (), 40)
-    config = replace(config, final_objective="none")
-    assert (config.final_from, config.round_starts, config.selected_after) == (100, (), 0)
-    config = SegmentationConfig(steps=1, final_objective="self_training")
-    assert (config.round_starts, config.selected_after) == ((0,), 0)
+def stages_of(**settings: Any) -> list[tuple[str, int, Context]]:
+    """Returns name, steps and context of each stage of a fit."""
+    config = SegmentationConfig(**settings)
+    spec = ModelSpec(skills=("a", "b"), cameras=(Camera("front", 4, 4, 1),), action=ActionSpec(1, 0, ("dx",)))
+    seen, _ = walks(2, seed=0)
+    learner = SegmentationLearner(config, spec, seen, seen, "fingerprint", torch.device("cpu"))
+    return [(stage.name, stage.steps, stage.context) for stage in learner.stages()]
+
+
+def test_a_final_objective_takes_its_share_of_the_steps() -> None:
+    rounds = [(f"round-{number}", 15, "all") for number in (1, 2, 3, 4)]
+    asked = {"steps": 100, "final_share": 0.6, "rounds": 4}
+    assert stages_of(**asked, final_objective="self_training") == [("objective", 40, "all"), *rounds]
+    assert stages_of(**asked, final_objective="set_likelihood") == [
+        ("objective", 40, "all"),
+        ("set_likelihood", 60, "all"),
+    ]
+    assert stages_of(**asked, final_objective="none") == [("objective", 100, "all")]
+    assert stages_of(steps=1, final_objective="self_training") == [("objective", 0, "all"), ("round-1", 1, "all")]
     with pytest.raises(InvalidInput, match="self-training"):
         SegmentationConfig(action_evidence=0.3)
 
@@ -136,8 +146,8 @@ def test_the_last_objective_takes_its_share_of_the_steps_and_chooses_the_weights
 def test_less_of_the_future_may_be_seen_while_tags_are_learned(
     context: Context, tag_context: Context, first: Context, then: Context
 ) -> None:
-    config = SegmentationConfig(steps=10, final_objective="self_training", context=context, tag_context=tag_context)
-    assert [config.context_at(step) for step in range(10)] == 5 * [first] + 5 * [then]
+    found = stages_of(final_objective="set_likelihood", context=context, tag_context=tag_context)
+    assert [each for _, _, each in found] == [first, then]
 
 
 def test_a_context_for_tags_needs_something_to_learn_after_them() -> None:
@@ -158,9 +168,8 @@ def test_what_a_teacher_cannot_tell_is_as_likely_as_among_the_trajectories_with_
         torch.nn.init.zeros_(tensor)
         if name == "bias":
             tensor.data[0] = bias  # log 5 = 1.61
-    settings = {"switching_cost": 1.0, "action_evidence": 0.0, "context": 0}
-    log_share = torch.tensor([1.0, 0.2]).log()
-    teacher = begin_round(network, [], log_share=log_share, generator=torch.Generator(), **settings)
+    config = SegmentationConfig(final_objective="self_training")
+    teacher = Teacher(network, None, config, context=0, log_share=torch.tensor([1.0, 0.2]).log())
     batch = TrajectoryBatch(
         {"front": torch.zeros(3, 4, 4, 1, dtype=torch.uint8)},
         torch.zeros(3, 1),
@@ -168,7 +177,7 @@ def test_what_a_teacher_cannot_tell_is_as_likely_as_among_the_trajectories_with_
         torch.ones(1, 2) > 0,
     )
     assert teacher.label(batch).tolist() == [[expected] * 3]
-    loaded = Teacher.load(teacher.tensors, spec, device=torch.device("cpu"), **settings)
+    loaded = Teacher.load(teacher.tensors, spec, config, context=0, device=torch.device("cpu"))
     assert loaded.label(batch).tolist() == [[expected] * 3]
 
 

@@ -103,11 +103,5 @@ def _undecided(confidence: Confidence) -> Iterator[str]:
 
 METHODS: Methods[SegmentationModel] = Methods(
     "segmentation",
-    MappingProxyType(
-        {
-            "set_supervised": Method(
-                SegmentationConfig, _resolve, _prepare, _card, model.load, calibrate=SegmentationLearner.calibrate
-            )
-        }
-    ),
+    MappingProxyType({"set_supervised": Method(SegmentationConfig, _resolve, _prepare, _card, model.load)}),
 )

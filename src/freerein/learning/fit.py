@@ -4,10 +4,11 @@
              metrics.jsonl          one row per `log_every` steps and per evaluation
              tensorboard/           the same, for TensorBoard
 
-The loop keeps the weights with the lowest validation loss, from `selected_after` on, and returns them. The result
-depends on the learner, its configuration (threads included), torch's version and the device; all are stored in each
-checkpoint and compared on resume. It never depends on clocks, interruptions or logging. Tested on the CPU; on CUDA it
-holds as far as kernels are deterministic, which cuDNN's LSTM does not promise.
+The loop goes through the learner's stages; a row of metrics is a mean over steps of one stage. It returns the weights
+with the lowest validation loss of the last stage. The result depends on the learner, its configuration (threads
+included), torch's version and the device; all are stored in each checkpoint and compared on resume. It never depends on
+clocks, interruptions or logging. Tested on the CPU; on CUDA it holds as far as kernels are deterministic, which cuDNN's
+LSTM does not promise.
 """
 
 import json
@@ -16,10 +17,9 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Generic, Literal, Protocol, cast
+from typing import Generic, Literal, cast
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -31,6 +31,7 @@ from freerein.learning import checkpoints
 from freerein.learning.checkpoints import JSON
 from freerein.learning.encoders import CameraEncoders
 from freerein.learning.fit_config import FitConfig
+from freerein.learning.learner import Learner, stage_at
 from freerein.learning.train_state import (
     BatchSampler,
     BestWeights,
@@ -46,31 +47,6 @@ _MAX_SAVE_FAILURES = 3
 
 class TrainingFailed(FailedPrecondition):
     """A metric is not finite, or an image encoder is dead: more steps would not help."""
-
-
-class Learner(Protocol[N]):
-    """What the training loop trains."""
-
-    @property
-    def config(self) -> FitConfig:
-        """The whole configuration of the fit."""
-
-    @property
-    def size(self) -> int:
-        """Number of training items."""
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the training data."""
-
-    def init(self, generator: torch.Generator) -> TrainState[N]:
-        """Returns the initial state."""
-
-    def update(self, state: TrainState[N], items: npt.NDArray[np.int64]) -> tuple[TrainState[N], Mapping[str, float]]:
-        """Returns the state after one optimiser step on a batch of items, and its metrics; always the same names."""
-
-    def evaluate(self, state: TrainState[N]) -> float:
-        """Returns the validation loss, from the training signal alone, never from ground-truth labels."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +85,9 @@ def fit_and_save(
     *,
     on_event: Callable[[FitEvent], None] = lambda _: None,
 ) -> bool:
-    """Fits until done or SIGTERM, then writes `folder / "model"` by `save`; returns False when it was stopped before.
+    """Fits until done or SIGTERM, calibrates, then writes `folder / "model"` by `save`.
+
+    Returns False when it was stopped before.
 
     Call it on the main thread. Arguments and errors are those of `fit`.
     """
@@ -117,6 +95,7 @@ def fit_and_save(
         fitted = fit(learner, folder, stop=stop, on_event=on_event)
     if fitted is None:
         return False
+    learner.calibrate(fitted.network)
     save(fitted, folder / "model")
     return True
 
@@ -193,19 +172,21 @@ def _advance(
 ) -> FitLoopState[N]:
     """Makes one optimiser step; logs and evaluates when due."""
     config = learner.config
+    start, stage = stage_at(learner.stages(), progress.state.step)
+    stage_end = start + stage.steps
     state, metrics = learner.update(progress.state, progress.sampler.next_batch(config.batch_size))
     _check_finite(metrics, state.step)
     sums = {name: progress.metric_sums.get(name, 0.0) + value for name, value in metrics.items()}
     progress = replace(progress, state=state, metric_sums=sums, metric_count=progress.metric_count + 1)
     is_evaluated = state.step % config.evaluate_every == 0 or state.step == config.steps
-    if not is_evaluated and state.step % config.log_every != 0:
+    if not is_evaluated and state.step % config.log_every != 0 and state.step != stage_end:
         return progress
     row = {name: total / progress.metric_count for name, total in sums.items()}
     if is_evaluated:
         row["validation_loss"] = learner.evaluate(state)
         _check_finite(row, state.step)
         _check_encoders(state)
-        if state.step > config.selected_after:
+        if stage_end == config.steps:
             progress = replace(progress, best=_better(progress.best, state, row["validation_loss"]))
         on_event(FitEvent("evaluated", state.step, f"validation_loss {row['validation_loss']:.4f}"))
     with suppress(OSError):  # a full disk costs the row, not the fit

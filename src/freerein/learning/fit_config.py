@@ -33,11 +33,6 @@ class FitConfig:
     seed: int = bounded(0, least=0, most=2**31 - 1)
     threads: int = bounded(1, least=1, most=256)
 
-    @property
-    def selected_after(self) -> int:
-        """Optimiser steps, fewer than `steps`, whose weights are not chosen: their validation loss is another's."""
-        return 0
-
     @classmethod
     def from_mapping(cls, values: Mapping[str, object]) -> Self:
         """Returns the configuration of the given values; see `freerein.learning.config.parse`."""

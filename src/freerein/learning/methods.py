@@ -21,10 +21,11 @@ from freerein.errors import InvalidInput
 from freerein.jobs.child import run_child
 from freerein.learning.config import parse
 from freerein.learning.config_schema import config_schema
-from freerein.learning.fit import FitResult, Learner, fit_and_save
+from freerein.learning.fit import FitResult, fit_and_save
 from freerein.learning.fit_config import DatasetFitConfig, FitConfig
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.in_distribution import InDistribution
+from freerein.learning.learner import Learner
 from freerein.learning.model_files import choose_device, read_card, save_model
 from freerein.learning.train_state import N
 
@@ -47,7 +48,6 @@ class Method(Generic[C, L, N, M_co]):
             same name.
         load: Returns the model in a folder, for a device `auto`, `cpu` or `cuda:N`. Raises InvalidInput where a file is
             missing or malformed.
-        calibrate: Sets what a trained network takes from held-out data, before it is saved.
         files: Returns files of the model beside weights and card, by name.
         needs_actions: Whether it learns from executed actions. One whose configuration has `use_actions` does without
             where the dataset has none.
@@ -58,7 +58,6 @@ class Method(Generic[C, L, N, M_co]):
     prepare: Callable[..., L]
     card: Callable[[FitDataset, L, FitResult[N]], dict[str, Any]]
     load: Callable[[Path, str], M_co]
-    calibrate: Callable[[L, N], None] = lambda _learner, _network: None
     files: Callable[[L], Mapping[str, bytes]] = lambda _learner: {}
     needs_actions: bool = True
 
@@ -121,7 +120,6 @@ class Methods(Generic[M_co]):
             learner = method.prepare(source, config, choose_device(device), **resources)
 
             def save(fitted: FitResult[Any], model: Path) -> None:
-                method.calibrate(learner, fitted.network)
                 for file, data in method.files(learner).items():
                     write_atomic(model / file, data)
                 own = method.card(source, learner, fitted)

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 from torch import Tensor, nn
 
-from freerein.learning.fit_config import FitConfig
 from freerein.learning.train_state import N, TrainState
 
 IMPORTED_BY_OPTIMISERS = "torch._dynamo"
@@ -23,12 +22,6 @@ def optimiser_step(state: TrainState[N], loss: Tensor, *, lr: float) -> TrainSta
     nn.utils.clip_grad_norm_(state.network.parameters(), _MAX_GRAD_NORM)
     state.optimiser.step()
     return replace(state, step=state.step + 1)
-
-
-def fit_step(state: TrainState[N], loss: Tensor, config: FitConfig) -> tuple[TrainState[N], dict[str, float]]:
-    """Returns the state after one step at the scheduled learning rate, and its metric `train_loss`."""
-    lr = cosine_lr(config.lr, state.step, warmup_steps=config.warmup_steps, steps=config.steps)
-    return optimiser_step(state, loss, lr=lr), {"train_loss": loss.item()}
 
 
 def cosine_lr(peak: float, step: int, *, warmup_steps: int, steps: int) -> float:

@@ -37,6 +37,10 @@ class TrainState(Generic[N]):
         trainable = [parameter for parameter in network.parameters() if parameter.requires_grad]
         return cls(network, torch.optim.Adam(trainable, lr, fused=True), generator)
 
+    def rng(self) -> np.random.Generator:
+        """Returns numpy's generator for one step, seeded by the next draw of `generator`."""
+        return np.random.default_rng(torch.randint(2**62, (2,), generator=self.generator).tolist())
+
 
 @dataclass(eq=False)
 class BatchSampler:

@@ -62,4 +62,4 @@ def _spec(source: FitDataset, config: GoalCloningConfig) -> GoalCloningSpec:
     return spec_of(config, GoalCloningSpec, cameras=cameras, action=action)
 
 
-METHOD = Method(GoalCloningConfig, _resolve, _prepare, _card, _load, GoalCloningLearner.calibrate)
+METHOD = Method(GoalCloningConfig, _resolve, _prepare, _card, _load)

@@ -52,4 +52,4 @@ def _spec(source: FitDataset, config: GoalConditionedConfig) -> GoalConditionedS
     return network_spec(config, cameras=source.cameras(config.cameras), action=source.dataset.spec.action)
 
 
-METHOD = Method(GoalConditionedConfig, _resolve, _prepare, _card, _load, GoalImagesLearner.calibrate)
+METHOD = Method(GoalConditionedConfig, _resolve, _prepare, _card, _load)

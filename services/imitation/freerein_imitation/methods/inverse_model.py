@@ -111,4 +111,4 @@ def _spec(source: FitDataset, config: InverseModelConfig) -> GoalImagesSpec:
     return spec_of(config, GoalImagesSpec, cameras=cameras, action=action)
 
 
-METHOD = Method(InverseModelConfig, _resolve, _prepare, _card, _load, GoalImagesLearner.calibrate)
+METHOD = Method(InverseModelConfig, _resolve, _prepare, _card, _load)

@@ -78,6 +78,4 @@ def supervision_of(teacher_cards: Sequence[Mapping[str, Any]]) -> dict[str, Any]
     return {"supervision": supervision, "privileged": any(card.get("privileged") is True for card in teacher_cards)}
 
 
-METHOD = Method(
-    LanguageConfig, _resolve, _prepare, _card, LanguagePolicy.load, calibrate=LanguageLearner.calibrate, files=_files
-)
+METHOD = Method(LanguageConfig, _resolve, _prepare, _card, LanguagePolicy.load, files=_files)

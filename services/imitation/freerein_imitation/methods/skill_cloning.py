@@ -77,4 +77,4 @@ def _spec(source: FitDataset, config: SkillCloningConfig) -> SkillCloningSpec:
     )
 
 
-METHOD = Method(SkillCloningConfig, _resolve, _prepare, _card, SkillCloningPolicy.load, SkillCloningLearner.calibrate)
+METHOD = Method(SkillCloningConfig, _resolve, _prepare, _card, SkillCloningPolicy.load)

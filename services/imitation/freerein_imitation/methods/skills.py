@@ -68,4 +68,4 @@ def _spec(source: FitDataset, config: SkillsConfig) -> SkillsSpec:
     )
 
 
-METHOD = Method(SkillsConfig, _resolve, _prepare, _card, SkillsPolicy.load, SkillsLearner.calibrate)
+METHOD = Method(SkillsConfig, _resolve, _prepare, _card, SkillsPolicy.load)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -16,7 +15,7 @@ from freerein.learning import weights
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
-from freerein.learning.optimiser import fit_step
+from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation import objectives
@@ -100,7 +99,7 @@ class GoalCloningLosses:
 
 
 @dataclass(frozen=True, eq=False)
-class GoalCloningLearner:
+class GoalCloningLearner(Learner[GoalCloningNetwork]):
     """Learner of the network; an item is a window of a trajectory.
 
     Attributes:
@@ -145,15 +144,12 @@ class GoalCloningLearner:
         network.encoder.fit_normalisation(frames, generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
-    def update(
-        self, state: TrainState[GoalCloningNetwork], items: npt.NDArray[np.int64]
-    ) -> tuple[TrainState[GoalCloningNetwork], dict[str, float]]:
-        """Returns the state after one update on some windows, and its metrics."""
-        rng = np.random.default_rng(torch.randint(2**62, (2,), generator=state.generator).tolist())
+    def loss(self, state: TrainState[GoalCloningNetwork], items: Items) -> Losses:
+        """Returns the losses of some windows."""
+        rng = state.rng()
         batch = self._sample(self.training, self._training_alike, self._windows[items].tolist(), rng)
         losses = self._losses(state.network, batch, rng)
-        state, metrics = fit_step(state, losses.total, self.config)
-        return state, metrics | {f"{name}_loss": term.item() for name, term in vars(losses).items()}
+        return {"train_loss": losses.total} | {f"{name}_loss": term for name, term in vars(losses).items()}
 
     def evaluate(self, state: TrainState[GoalCloningNetwork]) -> float:
         """Returns the sum of the losses on validation trajectories."""

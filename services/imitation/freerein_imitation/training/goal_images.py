@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ from freerein.learning import weights
 from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
-from freerein.learning.optimiser import fit_step
+from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation import objectives
@@ -86,7 +86,7 @@ class GoalImagesLosses:
 
 
 @dataclass(frozen=True, eq=False)
-class GoalImagesLearner(Generic[N]):
+class GoalImagesLearner(Learner[N]):
     """Learner of a network for goal images; an item is a window of a trajectory.
 
     Attributes:
@@ -125,15 +125,11 @@ class GoalImagesLearner(Generic[N]):
         network.fit_normalisation(frames, generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
-    def update(self, state: TrainState[N], items: npt.NDArray[np.int64]) -> tuple[TrainState[N], dict[str, float]]:
-        """Returns the state after one update on some windows, and its metrics."""
-        rng = np.random.default_rng(torch.randint(2**62, (2,), generator=state.generator).tolist())
-        losses = self._losses(state.network, self.training, self._windows[items].tolist(), rng)
-        state, metrics = fit_step(state, losses.action + losses.auxiliary + losses.recognizer, self.config)
-        return state, metrics | {
-            "action_loss": losses.action.item(),
-            "recognizer_loss": losses.recognizer.item(),
-        }
+    def loss(self, state: TrainState[N], items: Items) -> Losses:
+        """Returns the losses of some windows."""
+        losses = self._losses(state.network, self.training, self._windows[items].tolist(), state.rng())
+        total = losses.action + losses.auxiliary + losses.recognizer
+        return {"train_loss": total, "action_loss": losses.action, "recognizer_loss": losses.recognizer}
 
     def evaluate(self, state: TrainState[N]) -> float:
         """Returns the action loss (eq. 3.2) plus the recognizer's on validation trajectories."""

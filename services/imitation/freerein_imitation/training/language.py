@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -17,7 +16,7 @@ from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.inputs import spec_of
-from freerein.learning.optimiser import fit_step
+from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
@@ -78,7 +77,7 @@ def network_spec(
 
 
 @dataclass(frozen=True, eq=False)
-class LanguageLearner:
+class LanguageLearner(Learner[LanguageNetwork]):
     """Learner of a language policy; an item is a timestep.
 
     Attributes:
@@ -154,12 +153,11 @@ class LanguageLearner:
         network.fit_normalisation(frames, self.training.distinct_codes(), generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
-    def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
-        """Returns the state after one update on some timesteps, and its metrics."""
+    def loss(self, state: State, items: Items) -> Losses:
+        """Returns the action loss of some timesteps."""
         batch = self.training.collate(items, device=self.device)
         batch = replace(batch, frames=self._shifted(batch.frames, state.generator))
-        loss = action_loss(state.network, batch).mean()
-        return fit_step(state, loss, self.config)
+        return {"train_loss": action_loss(state.network, batch).mean()}
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:

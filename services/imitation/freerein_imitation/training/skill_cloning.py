@@ -17,7 +17,7 @@ from torch.nn import functional
 from freerein.learning import weights
 from freerein.learning.augmentation import shift
 from freerein.learning.image_statistics import image_statistics
-from freerein.learning.optimiser import fit_step
+from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation import objectives
@@ -63,8 +63,8 @@ class SkillCloningLosses:
 
 
 @dataclass(frozen=True, eq=False)
-class SkillCloningLearner:
-    """The learner of `freerein.learning.fit`. Its items are timesteps of training segments.
+class SkillCloningLearner(Learner[SkillCloningNetwork]):
+    """The learner of skills from labelled demonstrations. Its items are timesteps of training segments.
 
     Attributes:
         config: Configuration of the fit.
@@ -166,16 +166,15 @@ class SkillCloningLearner:
             network.fit_robot_state(torch.from_numpy(np.concatenate([states[item] for item in self._shown_items()])))
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
-    def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
-        """Returns the state after one update on spans around some timesteps, and its metrics."""
-        rng = np.random.default_rng(torch.randint(2**62, (2,), generator=state.generator).tolist())
+    def loss(self, state: State, items: Items) -> Losses:
+        """Returns the losses of spans around some timesteps."""
+        rng = state.rng()
         trajectories, steps = self.items[items].T
         starts = np.maximum(steps - rng.integers(self.config.span, size=len(items)), 0)
         batch = self._augmented(self.spans.read(trajectories, starts, self.config.span), rng)
         losses = self._losses(state.network, batch)
-        state, metrics = fit_step(state, self._total(losses), self.config)
-        named = {"action_loss": losses.action.item(), "termination_loss": losses.termination.item()}
-        return state, metrics | named
+        total = self._total(losses)
+        return {"train_loss": total, "action_loss": losses.action, "termination_loss": losses.termination}
 
     def evaluate(self, state: State) -> float:
         """Returns the loss on spans of held-out segments."""

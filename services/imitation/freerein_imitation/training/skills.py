@@ -22,7 +22,7 @@ from freerein.learning.config import bounded
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.inputs import spec_of
-from freerein.learning.optimiser import cosine_lr, optimiser_step
+from freerein.learning.learner import Items, Learner, Stage
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
@@ -128,8 +128,8 @@ class _Found:
 
 
 @dataclass(frozen=True, eq=False)
-class SkillsLearner:
-    """The learner of `freerein.learning.fit`. Its items are training timesteps.
+class SkillsLearner(Learner[SkillsNetwork]):
+    """The learner of skills from labelled demonstrations. Its items are training timesteps.
 
     Attributes:
         config: Configuration of the fit.
@@ -221,19 +221,19 @@ class SkillsLearner:
         network.fit_normalisation(frames, torch.from_numpy(np.asarray(executed, np.float32)))
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
-    def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
-        """Returns the state after one update on some timesteps, and its metrics."""
-        rng = np.random.default_rng(torch.randint(2**62, (2,), generator=state.generator).tolist())
-        ends = np.round(np.cumsum([_HAND_SHARE, _MAPS_SHARE]) * self.config.steps).astype(int).tolist()
-        parts: tuple[tuple[int, int, Callable[..., Tensor]], ...] = (
-            (0, ends[0], self._hand_loss),
-            (ends[0], ends[1], self._maps_loss),
-            (ends[1], self.config.steps, self._policy_loss),
+    def stages(self) -> tuple[Stage[SkillsNetwork], ...]:
+        """Returns the three parts of a fit."""
+        hand, maps = np.round(np.cumsum([_HAND_SHARE, _MAPS_SHARE]) * self.config.steps).astype(int).tolist()
+        return (
+            self._stage("hand", hand, self._hand_loss),
+            self._stage("maps", maps - hand, self._maps_loss),
+            self._stage("policy", self.config.steps - maps, self._policy_loss),
         )
-        start, stop, loss_of = next(each for each in parts if state.step < each[1])
-        loss = loss_of(state.network, items, rng)
-        lr = cosine_lr(self.config.lr, state.step - start, warmup_steps=self.config.warmup_steps, steps=stop - start)
-        return optimiser_step(state, loss, lr=lr), {"train_loss": loss.item()}
+
+    def _stage(
+        self, name: str, steps: int, loss: Callable[[SkillsNetwork, Items, np.random.Generator], Tensor]
+    ) -> Stage[SkillsNetwork]:
+        return Stage(name, steps, lambda state, items: {"train_loss": loss(state.network, items, state.rng())})
 
     def evaluate(self, state: State) -> float:
         """Returns the loss of the policy on validation timesteps."""
@@ -267,7 +267,7 @@ class SkillsLearner:
         """Trajectories of the training segments, ascending."""
         return sorted({each.trajectory for each in self.segments})
 
-    def _hand_loss(self, network: SkillsNetwork, items: npt.NDArray[np.int64], rng: np.random.Generator) -> Tensor:
+    def _hand_loss(self, network: SkillsNetwork, items: Items, rng: np.random.Generator) -> Tensor:
         """Returns the error of the actions executed between pairs of timesteps, as the hand's motion tells them."""
         first = self.training[items]
         lengths = np.array([len(self.demonstrations.actions[item]) for item in first.trajectory])
@@ -282,7 +282,7 @@ class SkillsLearner:
         told = network.hand.executed(moved, opened, self._tensor(before))
         return functional.smooth_l1_loss(told, self._tensor(executed), beta=_ODOMETRY_BETA)
 
-    def _maps_loss(self, network: SkillsNetwork, items: npt.NDArray[np.int64], _: np.random.Generator) -> Tensor:
+    def _maps_loss(self, network: SkillsNetwork, items: Items, _: np.random.Generator) -> Tensor:
         """Returns the cross-entropies of both heat maps; places are learned before the grasp, where they are chosen."""
         steps, cells, hands = self.training[items], network.maps.cells, self._hands(network)
         maps = network.maps(self._pixels(network, steps.trajectory, steps.timestep), self._skills(steps))
@@ -295,7 +295,7 @@ class SkillsLearner:
         is_before_grasp = self._tensor(steps.timestep < steps.object_at)
         return target.mean() + _PLACE_WEIGHT * objectives.masked_mean(place, is_before_grasp)
 
-    def _policy_loss(self, network: SkillsNetwork, items: npt.NDArray[np.int64], rng: np.random.Generator) -> Tensor:
+    def _policy_loss(self, network: SkillsNetwork, items: Items, rng: np.random.Generator) -> Tensor:
         """Returns the losses of action and termination, with noisy places."""
         steps, hands, targets = self.training[items], self._hands(network), self._targets(network)
         hand, target, place = (

@@ -98,6 +98,5 @@ RELATION_CAPTIONS = Method(
     _prepare,
     _card,
     load_reward_model,
-    calibrate=RewardModelLearner.calibrate,
     needs_actions=False,
 )

@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from freerein.learning import weights
-from freerein.learning.optimiser import fit_step
+from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein_reward.model import DualEncoder, DualEncoderSpec, channels_last
 from freerein_reward.objectives import contrastive_loss
@@ -39,8 +38,8 @@ class ObjectBatch:
 
 
 @dataclass(frozen=True, eq=False)
-class GroundingLearner:
-    """A `freerein.learning.fit.Learner` of a dual encoder with attention pooling; its data follow from `config`."""
+class GroundingLearner(Learner[DualEncoder]):
+    """The learner of a dual encoder with attention pooling; its data follow from `config`."""
 
     config: GroundingConfig
     device: torch.device
@@ -72,11 +71,11 @@ class GroundingLearner:
         weights.initialise(network, generator=generator)
         return TrainState.with_adam(channels_last(network.to(self.device)), self.config.lr, generator=generator)
 
-    def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
-        """Returns the state after one optimiser step on some images, and its `train_loss`."""
+    def loss(self, state: State, items: Items) -> Losses:
+        """Returns the loss of some images."""
         seed = int(torch.randint(2**31, (), generator=state.generator))
         batch = self._batch(items.tolist(), np.random.default_rng(seed))
-        return fit_step(state, _loss(state.network.train(), batch), self.config)
+        return {"train_loss": _loss(state.network.train(), batch)}
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:

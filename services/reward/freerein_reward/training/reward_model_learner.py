@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -13,7 +12,7 @@ from freerein.goal_text import words
 from freerein.learning import weights
 from freerein.learning.augmentation import agreement, delayed
 from freerein.learning.in_distribution import KNOWN_FRAMES
-from freerein.learning.optimiser import fit_step
+from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last, view_statistics
 from freerein_reward.objectives import relation_cross_entropy
@@ -34,8 +33,8 @@ _HEAT_FLOOR = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class RewardModelLearner:
-    """A `freerein.learning.fit.Learner` of a dual encoder of relations, initialised from `grounding`.
+class RewardModelLearner(Learner[DualEncoder]):
+    """The learner of a dual encoder of relations, initialised from `grounding`.
 
     Attributes:
         held_out_trajectories: Those that validation images are from; 0 where each shows a scene of its own.
@@ -63,8 +62,8 @@ class RewardModelLearner:
         init_from_grounding(network, self.grounding, self.training)
         return TrainState.with_adam(channels_last(network.to(self.device)), self.config.lr, generator=generator)
 
-    def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
-        """Returns the state after one optimiser step on some images, and its `train_loss`."""
+    def loss(self, state: State, items: Items) -> Losses:
+        """Returns the loss of some images."""
         batch = self._mirror(self.training.subset(items), state)
         scores = _scores(state.network, _stacked_views(batch), batch.phrases)
         loss = relation_cross_entropy(scores, _targets(batch).to(self.device))
@@ -73,7 +72,7 @@ class RewardModelLearner:
         if strength:
             seen = batch.augmented(strength, generator=state.generator)
             loss = loss + agreement(_scores(state.network, _stacked_views(seen), batch.phrases), scores)
-        return fit_step(state, loss, self.config)
+        return {"train_loss": loss}
 
     def evaluate(self, state: State) -> float:
         """Returns the cross-entropy of the captions of the validation images, as they are and augmented."""

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+CONFIDENCE = "confidence"
+"""What a fit carries from the start of its final objective on: the confidence of the network as it was."""
+
 _LEAST_DECIDED = 1 / 3
 """Share of the way from equal shares to certainty below which labels are undecided."""
 

@@ -10,6 +10,7 @@ from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein_segmentation.model import MAX_CONTEXT, Context
 from freerein_segmentation.objectives import OBJECTIVES
+from freerein_segmentation.training.algorithms import ALGORITHMS
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class SegmentationConfig(DatasetFitConfig):
     """
 
     objective: str = one_of(OBJECTIVES, "lse_per_timestep")
-    final_objective: Literal["none", "set_likelihood", "self_training"] = "none"
+    final_objective: str = one_of(ALGORITHMS, "none")
     final_share: float = bounded(0.5, least=0.01, most=0.99)
     rounds: int = bounded(3, least=1, most=100)
     switching_cost: float = bounded(1.0, least=0.0, most=100.0)
@@ -71,31 +72,9 @@ class SegmentationConfig(DatasetFitConfig):
                 hint="Set `context` alone, or a final_objective.",
             )
 
-    def context_at(self, step: int) -> Context:
-        """Returns how many future timesteps scores depend on at an optimiser step."""
-        if step >= self.final_from or self.tag_context == "all":
-            return self.context
-        return self.tag_context if self.context == "all" else min(self.tag_context, self.context)
-
     @property
-    def final_from(self) -> int:
-        """Optimiser steps before the final objective; all where there is none."""
-        if self.final_objective == "none":
-            return self.steps
-        return min(self.steps - 1, round((1 - self.final_share) * self.steps))
-
-    @property
-    def round_starts(self) -> tuple[int, ...]:
-        """Optimiser steps before each round of self-training."""
-        if self.final_objective != "self_training":
-            return ()
-        steps = self.steps - self.final_from
-        rounds = min(self.rounds, steps)
-        return tuple(self.final_from + steps * index // rounds for index in range(rounds))
-
-    @property
-    def selected_after(self) -> int:
-        """See `FitConfig`: weights are of the final objective, and of its last round."""
-        if self.final_objective == "none":
-            return 0
-        return self.round_starts[-1] if self.round_starts else self.final_from
+    def context_before_final(self) -> Context:
+        """Future timesteps that scores depend on before the final objective."""
+        if self.tag_context == "all" or self.context == "all":
+            return self.context if self.tag_context == "all" else self.tag_context
+        return min(self.tag_context, self.context)

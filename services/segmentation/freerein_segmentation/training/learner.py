@@ -1,11 +1,9 @@
 """The learner of the segmentation network."""
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -17,27 +15,24 @@ from freerein.learning.fit import FitResult
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.inputs import spec_of
-from freerein.learning.optimiser import fit_step
+from freerein.learning.learner import Items, Learner, Losses, stage_at, unchanged
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation.model import Context, ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES, Objective
-from freerein_segmentation.objectives.labels import label_cross_entropy
-from freerein_segmentation.objectives.set_likelihood import set_likelihood
+from freerein_segmentation.training.algorithms import ALGORITHMS
 from freerein_segmentation.training.batches import TrajectoryBatch, gather
-from freerein_segmentation.training.confidence import Confidence
+from freerein_segmentation.training.confidence import CONFIDENCE, Confidence
 from freerein_segmentation.training.config import SegmentationConfig
-from freerein_segmentation.training.self_training import Teacher, begin_round
+from freerein_segmentation.training.tag_stage import TagStage
 
 State = TrainState[SegmentationNetwork]
 
 _NORMALISATION_FRAMES = 2000
-_ACTION_TRAJECTORIES = 400
-"""Most trajectories that an action model is fitted to."""
 
-_BEFORE_FINAL = "confidence"
-"""What is carried from the start of the final objective on: the confidence of the network as it was."""
+BatchLoss: TypeAlias = Callable[[State, TrajectoryBatch, Tensor, Tensor], Tensor]
+"""Given a state, a batch, scores f_t(k), float (B, T, K), and their mask, bool (B, T), returns losses, float (B,)."""
 
 
 def network_spec(
@@ -57,8 +52,8 @@ def network_spec(
 
 
 @dataclass(frozen=True, eq=False)
-class SegmentationLearner:
-    """A `freerein.learning.fit.Learner` of a segmentation network; `training` and `validation` have tags."""
+class SegmentationLearner(Learner[SegmentationNetwork]):
+    """The learner of a segmentation network; `training` and `validation` have tags."""
 
     config: SegmentationConfig
     spec: ModelSpec
@@ -81,21 +76,46 @@ class SegmentationLearner:
         network.image.fit_normalisation(frames, generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
-    def update(self, state: State, items: npt.NDArray[np.int64]) -> tuple[State, dict[str, float]]:
-        """Returns the state after one optimiser step on some trajectories, and its `train_loss`."""
-        if state.step == self.config.final_from:
-            state = self._begin_final(state)
-        if state.step in self.config.round_starts:
-            state = self._begin_round(state)
-        batch, context = self._gather(items.tolist(), state.generator), self.config.context_at(state.step)
-        scores, mask = state.network(batch.frames, batch.actions, batch.lengths, context=context)
-        loss = self._loss(state, step=state.step)(scores, mask, batch).mean()
-        strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
-        if strength:
-            seen = batch.augmented(strength, generator=state.generator)
-            again, _ = state.network(seen.frames, seen.actions, seen.lengths, context=context)
-            loss = loss + agreement(again[mask], scores[mask])
-        return fit_step(state, loss, self.config)
+    def stages(self) -> tuple[TagStage, ...]:
+        """Returns the stages of the configuration's algorithm."""
+        return ALGORITHMS[self.config.final_objective](self)
+
+    def before_final(self) -> TagStage:
+        """Returns the stage before a final objective: the objective, which may see less of the future."""
+        config = self.config
+        steps = min(config.steps - 1, round((1 - config.final_share) * config.steps))
+        return self.stage("objective", steps, OBJECTIVES[config.objective], context=config.context_before_final)
+
+    def stage(
+        self,
+        name: str,
+        steps: int,
+        objective: Objective,
+        *,
+        context: Context,
+        begin: Callable[[State], State] = unchanged,
+        loss: BatchLoss | None = None,
+    ) -> TagStage:
+        """Returns a stage that trains a loss of scores, by default the objective of tags that judges it.
+
+        Scores of augmented frames, once there are some, learn to agree with those of frames as they are.
+        """
+
+        def of_tags(_: State, batch: TrajectoryBatch, scores: Tensor, mask: Tensor) -> Tensor:
+            return objective(scores, mask, batch.tags)
+
+        def losses(state: State, items: Items) -> Losses:
+            batch = self.batch(items.tolist(), state.generator)
+            scores, mask = state.network(batch.frames, batch.actions, batch.lengths, context=context)
+            total = (loss or of_tags)(state, batch, scores, mask).mean()
+            strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
+            if strength:
+                seen = batch.augmented(strength, generator=state.generator)
+                again, _ = state.network(seen.frames, seen.actions, seen.lengths, context=context)
+                total = total + agreement(again[mask], scores[mask])
+            return {"train_loss": total}
+
+        return TagStage(name, steps, losses, begin, shares_lr=True, objective=objective, context=context)
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:
@@ -104,14 +124,13 @@ class SegmentationLearner:
         It is a loss of their tags: the objective, or the set likelihood once the final objective is trained. Labels of
         a teacher would favour the network that agrees with itself, whatever it says.
         """
-        step = max(0, state.step - 1)
-        objective, context = self._tag_objective(step=step), self.config.context_at(step)
+        _, stage = stage_at(self.stages(), max(0, state.step - 1))
         generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
         losses = []
         for batch in self._validation_batches():
             for seen in (batch, batch.augmented(strength, generator=generator)) if strength else (batch,):
-                scores, mask = state.network(seen.frames, seen.actions, seen.lengths, context=context)
-                losses.append(objective(scores, mask, seen.tags))
+                scores, mask = state.network(seen.frames, seen.actions, seen.lengths, context=stage.context)
+                losses.append(stage.objective(scores, mask, seen.tags))
         return torch.cat(losses).mean().item()
 
     @torch.no_grad()
@@ -162,7 +181,7 @@ class SegmentationLearner:
 
         Both final objectives make a network sure, whatever it says: one by its teacher's labels, one by its entropy.
         """
-        before = fitted.carried.get(_BEFORE_FINAL)
+        before = fitted.carried.get(CONFIDENCE)
         return self._confidence(fitted.network, self.spec.context) if before is None else Confidence.of(before)
 
     @torch.no_grad()
@@ -174,55 +193,12 @@ class SegmentationLearner:
             tags.append(batch.tags.sum(dim=1).repeat_interleave(batch.lengths))
         return Confidence.over(torch.cat(highest), torch.cat(tags))
 
-    def _loss(self, state: State, *, step: int) -> Callable[[Tensor, Tensor, TrajectoryBatch], Tensor]:
-        """Returns the loss of an optimiser step: of scores and mask, given the frames as they are, float (B,)."""
-        config = self.config
-        if config.round_starts and step >= config.round_starts[0]:
-            teacher = Teacher.load(
-                state.carried,
-                self.spec,
-                device=self.device,
-                switching_cost=config.switching_cost,
-                action_evidence=config.action_evidence,
-                context=self._teacher_context(step),
-            )
-            return lambda scores, _mask, batch: label_cross_entropy(scores, teacher.label(batch))
-        objective = self._tag_objective(step=step)
-        return lambda scores, mask, batch: objective(scores, mask, batch.tags)
+    def carry_confidence(self, state: State, *, context: Context) -> State:
+        """Returns a state that carries the confidence before the final objective, with the context until then."""
+        confidence = self._confidence(state.network, context)
+        return replace(state, carried={CONFIDENCE: confidence.tensor})
 
-    def _tag_objective(self, *, step: int) -> Objective:
-        return set_likelihood if step >= self.config.final_from else OBJECTIVES[self.config.objective]
-
-    def _begin_final(self, state: State) -> State:
-        before = self._confidence(state.network, self.config.context_at(state.step - 1))
-        return replace(state, carried={_BEFORE_FINAL: before.tensor})
-
-    def _begin_round(self, state: State) -> State:
-        items = torch.randperm(self.size, generator=state.generator)[:_ACTION_TRAJECTORIES].tolist()
-        size, context = self.config.batch_size, self._teacher_context(state.step)
-        teacher = begin_round(
-            state.network,
-            (self._gather(items[at : at + size], state.generator) for at in range(0, len(items), size)),
-            switching_cost=self.config.switching_cost,
-            action_evidence=self.config.action_evidence,
-            context=context,
-            log_share=self._log_share() if context != self.spec.context else None,
-            generator=state.generator,
-        )
-        return replace(state, carried={**teacher.tensors, _BEFORE_FINAL: state.carried[_BEFORE_FINAL]})
-
-    def _teacher_context(self, step: int) -> Context:
-        """Returns what the teacher at a step sees: as much as the network did that it was copied from."""
-        copied_at = max(start for start in self.config.round_starts if start <= step)
-        return self.config.context_at(copied_at - 1)
-
-    def _log_share(self) -> Tensor:
-        """Returns the logarithm of the share of training trajectories that have each skill, float32 (K,)."""
-        counts = Counter(skill for skills in self.training.skills for skill in skills)
-        shares = [max(1, counts[skill]) / self.size for skill in self.spec.skills]
-        return torch.tensor(shares, device=self.device).log()
-
-    def _gather(self, items: Sequence[int], generator: torch.Generator) -> TrajectoryBatch:
+    def batch(self, items: Sequence[int], generator: torch.Generator) -> TrajectoryBatch:
         """Returns training trajectories, each from a random phase of the stride on."""
         phases = torch.randint(self.spec.stride, (len(items),), generator=generator).tolist()
         return gather(self.training, items, phases, spec=self.spec, device=self.device)

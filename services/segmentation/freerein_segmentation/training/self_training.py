@@ -7,17 +7,33 @@ al., "TACO", 2018, arXiv 1803.01840, without its order): an action model of each
 on the teacher's features, adds its log posterior. A teacher is plain tensors, and a part of the training state.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 
 from freerein.learning import weights
+from freerein.learning.train_state import TrainState, tensors_under
 from freerein_segmentation.model import Context, ModelSpec, SegmentationNetwork
 from freerein_segmentation.model.action_model import ActionModel
+from freerein_segmentation.objectives.labels import label_cross_entropy
+from freerein_segmentation.objectives.set_likelihood import set_likelihood
 from freerein_segmentation.training.batches import TrajectoryBatch
+from freerein_segmentation.training.confidence import CONFIDENCE
+from freerein_segmentation.training.tag_stage import TagStage
 from freerein_segmentation.training.viterbi import viterbi
+
+if TYPE_CHECKING:
+    from freerein_segmentation.training.config import SegmentationConfig
+    from freerein_segmentation.training.learner import SegmentationLearner
+
+_ACTION_TRAJECTORIES = 400
+"""Most trajectories that an action model is fitted to."""
 
 _LEAST_EVIDENCE = -5.0
 """Least log posterior of a skill given the action, in nats: one surprising action must not outweigh the network."""
@@ -27,23 +43,83 @@ _STEPS, _BATCH, _LR = 300, 256, 3e-3
 _LOG_SHARE = "log_share"
 
 
+def self_training(learner: "SegmentationLearner") -> tuple[TagStage, ...]:
+    """Returns a stage of the objective, then rounds.
+
+    As a round begins, the network is copied: the teacher, which sees as much of the future as the network did until
+    then. In the round the network learns the labels that the teacher finds.
+    """
+    stages, config = [learner.before_final()], learner.config
+    steps = config.steps - stages[0].steps
+    rounds = min(config.rounds, steps)
+    ends = [steps * each // rounds for each in range(rounds + 1)]
+    for start, end in pairwise(ends):
+        teaching = learner, stages[-1].context
+        begin, loss = partial(_begin_round, *teaching), partial(_label_loss, *teaching)
+        name = f"round-{len(stages)}"
+        stages.append(learner.stage(name, end - start, set_likelihood, context=config.context, begin=begin, loss=loss))
+    return tuple(stages)
+
+
+def _begin_round(
+    learner: "SegmentationLearner", context: Context, state: TrainState[SegmentationNetwork]
+) -> TrainState[SegmentationNetwork]:
+    """Returns a state that carries its network as the teacher, with an action model of the teacher's labels."""
+    if CONFIDENCE not in state.carried:
+        state = learner.carry_confidence(state, context=context)
+    tensors = {f"network.{name}": tensor.detach().clone() for name, tensor in state.network.state_dict().items()}
+    if context != learner.spec.context:
+        tensors[_LOG_SHARE] = _log_share(learner)
+    teacher = Teacher.load(tensors, learner.spec, learner.config, context=context, device=learner.device)
+    items = torch.randperm(learner.size, generator=state.generator)[:_ACTION_TRAJECTORIES].tolist()
+    if learner.config.action_evidence:
+        size = learner.config.batch_size
+        batches = (learner.batch(items[at : at + size], state.generator) for at in range(0, len(items), size))
+        labelled = _labelled(teacher, batches)
+        teacher = replace(teacher, actions=fit_action_model(*labelled, spec=learner.spec, generator=state.generator))
+    return replace(state, carried={**teacher.tensors, CONFIDENCE: state.carried[CONFIDENCE]})
+
+
+def _label_loss(
+    learner: "SegmentationLearner",
+    context: Context,
+    state: TrainState[SegmentationNetwork],
+    batch: TrajectoryBatch,
+    scores: Tensor,
+    _mask: Tensor,
+) -> Tensor:
+    """Returns the cross-entropy of the teacher's labels, float (B,)."""
+    teacher = Teacher.load(state.carried, learner.spec, learner.config, context=context, device=learner.device)
+    return label_cross_entropy(scores, teacher.label(batch))
+
+
+def _log_share(learner: "SegmentationLearner") -> Tensor:
+    """Returns the logarithm of the share of training trajectories that have each skill, float32 (K,).
+
+    It is for a teacher that sees less of the future than the network that learns its labels. By Bayes' rule,
+    P(y_t | x, tags) is as P(y_t | x) P(tags | y_t, x). What the teacher cannot tell from x yet is as likely as it is
+    among the trajectories with the skill: each has one over their number.
+    """
+    counts = Counter(skill for skills in learner.training.skills for skill in skills)
+    shares = [max(1, counts[skill]) / learner.size for skill in learner.spec.skills]
+    return torch.tensor(shares, device=learner.device).log()
+
+
 @dataclass(frozen=True, eq=False)
 class Teacher:
-    """A frozen network that labels trajectories, with or without an action model.
+    """A frozen network that labels trajectories.
 
     Attributes:
         network: The network.
         actions: The action model; None for a teacher that does not look at actions' evidence.
-        switching_cost: Cost of each change of the skill, in nats.
-        action_evidence: Weight of the action model's log posterior.
+        config: Has the cost of a switch, and the weight of the action model's log posterior.
         context: Future timesteps that the network sees.
         log_share: Logarithm of each skill's share of trajectories, float (K,), which is taken off its scores, or None.
     """
 
     network: SegmentationNetwork
     actions: ActionModel | None
-    switching_cost: float
-    action_evidence: float
+    config: "SegmentationConfig"
     context: Context
     log_share: Tensor | None
 
@@ -52,25 +128,21 @@ class Teacher:
         cls,
         tensors: Mapping[str, Tensor],
         spec: ModelSpec,
+        config: "SegmentationConfig",
         *,
-        device: torch.device,
-        switching_cost: float,
-        action_evidence: float,
         context: Context,
+        device: torch.device,
     ) -> "Teacher":
         """Returns the teacher whose `tensors` are given, on a device."""
         with torch.device("meta"):  # allocates no weights
             network, actions = SegmentationNetwork(spec), _action_model(spec)
         for part, name in ((network, "network."), (actions, "actions.")):
-            found = {key.removeprefix(name): tensor for key, tensor in tensors.items() if key.startswith(name)}
-            if found:
+            if found := tensors_under(name, tensors):
                 part.load_state_dict(found, assign=True)
                 part.to(device)
         has_actions = any(key.startswith("actions.") for key in tensors)
         log_share = tensors[_LOG_SHARE].to(device) if _LOG_SHARE in tensors else None
-        return cls(
-            network.eval(), actions if has_actions else None, switching_cost, action_evidence, context, log_share
-        )
+        return cls(network.eval(), actions if has_actions else None, config, context, log_share)
 
     @property
     def tensors(self) -> dict[str, Tensor]:
@@ -95,42 +167,8 @@ class Teacher:
             )  # (N, K)
             added = torch.zeros_like(emissions)
             added[mask] = action_posterior(log_likelihood)
-            emissions = emissions + self.action_evidence * added
-        return viterbi(emissions, mask, batch.tags, switching_cost=self.switching_cost)
-
-
-def begin_round(
-    network: SegmentationNetwork,
-    batches: Iterable[TrajectoryBatch],
-    *,
-    switching_cost: float,
-    action_evidence: float,
-    context: Context,
-    log_share: Tensor | None,
-    generator: torch.Generator,
-) -> Teacher:
-    """Returns the teacher that a network becomes; an action model, where it has weight, is fitted to `batches`.
-
-    `log_share` is for a network that sees less of the future than the one that learns its labels. By Bayes' rule,
-    P(y_t | x, tags) is as P(y_t | x) P(tags | y_t, x). What the network cannot tell from x yet is as likely as it is
-    among the trajectories with the skill: each has one over their number.
-    """
-    tensors = {f"network.{name}": tensor.detach().clone() for name, tensor in network.state_dict().items()}
-    if log_share is not None:
-        tensors[_LOG_SHARE] = log_share
-    teacher = Teacher.load(
-        tensors,
-        network.spec,
-        device=network.head.weight.device,
-        switching_cost=switching_cost,
-        action_evidence=action_evidence,
-        context=context,
-    )
-    if not action_evidence:
-        return teacher
-    features, actions, labels = _labelled(teacher, batches)
-    fitted = fit_action_model(features, actions, labels, spec=network.spec, generator=generator)
-    return replace(teacher, actions=fitted)
+            emissions = emissions + self.config.action_evidence * added
+        return viterbi(emissions, mask, batch.tags, switching_cost=self.config.switching_cost)
 
 
 def action_posterior(log_likelihood: Tensor) -> Tensor:
