@@ -118,12 +118,7 @@ class SimCore:
 
     async def reset(self, request: sim.ResetRequest) -> sim.ResetResponse:
         """Begins new episodes, as `VectorEnv.reset`; `step_id` goes on counting."""
-
-        async def work(session: Session) -> sim.ResetResponse:
-            session.check_frames(request.cameras)
-            return await session.worker.call(request, sim.ResetResponse)
-
-        return await self._exclusively(request.session, work)
+        return await self._call(request, sim.ResetResponse, lambda session: session.check_frames(request.cameras))
 
     async def step(self, request: sim.StepRequest) -> sim.StepResponse:
         """Steps every environment once, as `VectorEnv.step`; repeating the last step returns its recorded response."""
@@ -141,18 +136,15 @@ class SimCore:
     async def render(self, request: sim.RenderRequest) -> sim.RenderResponse:
         """Renders, as `VectorEnv.render`."""
 
-        async def work(session: Session) -> sim.RenderResponse:
+        def check(session: Session) -> None:
             cameras = request.cameras or tuple(camera.name for camera in session.task.cameras)
             session.check_frames(cameras, height=request.height, width=request.width)
-            return await session.worker.call(request, sim.RenderResponse)
 
-        return await self._exclusively(request.session, work)
+        return await self._call(request, sim.RenderResponse, check)
 
     async def snapshot(self, request: sim.SnapshotRequest) -> sim.SnapshotResponse:
         """Returns the complete state, as `VectorEnv.snapshot`."""
-        return await self._exclusively(
-            request.session, lambda session: session.worker.call(request, sim.SnapshotResponse)
-        )
+        return await self._call(request, sim.SnapshotResponse)
 
     async def restore(self, request: sim.RestoreRequest) -> sim.RestoreResponse:
         """Restores a snapshot, as `VectorEnv.restore`; earlier steps can then not be repeated."""
@@ -199,21 +191,13 @@ class SimCore:
 
     async def check(self, request: sim.CheckRequest) -> sim.CheckResponse:
         """Returns where a predicate of a privileged session's task holds."""
-
-        async def work(session: Session) -> sim.CheckResponse:
-            session.check_privileged("Check")
-            return await session.worker.call(request, sim.CheckResponse)
-
-        return await self._exclusively(request.session, work)
+        return await self._call(request, sim.CheckResponse, lambda session: session.check_privileged("Check"))
 
     async def expert_actions(self, request: sim.ExpertActionsRequest) -> sim.ExpertActionsResponse:
         """Returns the scripted expert's next actions in a privileged session, as `VectorEnv.expert_actions`."""
-
-        async def work(session: Session) -> sim.ExpertActionsResponse:
-            session.check_privileged("ExpertActions")
-            return await session.worker.call(request, sim.ExpertActionsResponse)
-
-        return await self._exclusively(request.session, work)
+        return await self._call(
+            request, sim.ExpertActionsResponse, lambda session: session.check_privileged("ExpertActions")
+        )
 
     async def close_session(self, request: sim.CloseSessionRequest) -> sim.CloseSessionResponse:
         """Closes a session; does nothing for an unknown one."""
@@ -269,6 +253,15 @@ class SimCore:
                 f"{sum(num_envs)}.",
                 hint="Close a session, wait until a lease ends, or ask for fewer; FREEREIN_SIM_ENVS sets the limit.",
             )
+
+    async def _call(self, request: Any, response: type[R], check: Callable[[Session], None] = lambda _: None) -> R:
+        """Calls the worker of the request's session, after a check."""
+
+        async def work(session: Session) -> R:
+            check(session)
+            return await session.worker.call(request, response)
+
+        return await self._exclusively(request.session, work)
 
     async def _exclusively(self, session_id: str, work: Callable[[Session], Coroutine[Any, Any, R]]) -> R:
         """Runs `work` while holding the session's lock; once begun it is completed, even if the caller is cancelled."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
 
-from freerein.errors import Internal, NotFound, ServiceError, SessionNotFound
+from freerein.errors import Internal, ServiceError, SessionNotFound
 from freerein.types import sim
 from freerein.types.common import error_message
 from freerein_sim.workers import demonstrations, protocol
@@ -21,7 +21,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class RequestHandler:
-    """Answers the requests to one worker process, and holds its sessions."""
+    """Answers the requests to one worker process, and holds its sessions. The service has checked names of tasks."""
 
     def __init__(self, tasks: Mapping[str, TaskDefinition]) -> None:
         self._tasks = tasks
@@ -76,7 +76,7 @@ class RequestHandler:
 
     def _create_session(self, request: sim.CreateSessionRequest) -> sim.CreateSessionResponse:
         """Creates a session; the service has filled in the request's defaults."""
-        task, seed, session = self._task(request.task), request.seed or 0, secrets.token_hex(16)
+        task, seed, session = self._tasks[request.task], request.seed or 0, secrets.token_hex(16)
         self._sessions[session] = VectorEnv(
             task,
             num_envs=request.num_envs,
@@ -94,13 +94,13 @@ class RequestHandler:
         """Returns one trajectory. The service has checked its size for episodes of the nominal length only."""
         world = self._demonstration_world(request)
         cameras, images = request.cameras or (world.spec.cameras[0].name,), world.spec.max_episode_steps
-        task = self._task(request.task)
+        task = self._tasks[request.task]
         protocol.check_frames(task.describe(), cameras, height=request.height, width=request.width, images=images)
         return demonstrations.make_demonstration(task, world, request)
 
     def _draw_recipes(self, request: sim.DrawRecipesRequest) -> sim.DrawRecipesResponse:
         """Returns recipes; conditions may limit their length, which only the world's own spec says."""
-        task = self._task(request.task)
+        task = self._tasks[request.task]
         spec = task.spec
         if request.conditions:
             with closing(build(task, request.conditions)) as world:
@@ -113,20 +113,11 @@ class RequestHandler:
         before, world = self._demonstration_worlds.get(request.task, (None, None))
         if world is not None and before == conditions:
             return world
-        made = build(self._task(request.task), conditions)
+        made = build(self._tasks[request.task], conditions)
         if world is not None:
             world.close()
         self._demonstration_worlds[request.task] = conditions, made
         return made
-
-    def _task(self, name: str) -> TaskDefinition:
-        if (task := self._tasks.get(name)) is None:
-            raise NotFound(
-                "`task` must be the name of a task; there is none of that name.",
-                field="task",
-                hint="ListTasks names those that there are.",
-            )
-        return task
 
     def _envs(self, session: str) -> VectorEnv:
         if (envs := self._sessions.get(session)) is None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+from contextlib import suppress
 
 from freerein.errors import WorkerLost
 from freerein.fork_server import StartChild, spawn
@@ -9,8 +10,8 @@ from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTask
 from freerein_sim.workers.worker import Worker, worker_lost
 
 _LOG = logging.getLogger(__name__)
-_RESTART_AFTER_S = (0.1, 0.4, 1.6)
-"""Pauses before a worker that died while starting is started again."""
+_RESTART_AFTER_S = (0.1, 0.4, 1.6, 0.0)
+"""Pauses after a worker died while starting; then it is started again, after the last given up."""
 
 
 class WorkerPool:
@@ -132,17 +133,13 @@ class _WorkerSlot:
     async def _start_persistently(self) -> Worker:
         """Starts a worker, again if it dies: what kills it from outside may have passed."""
         for pause_s in _RESTART_AFTER_S:
-            try:
+            with suppress(WorkerLost):
                 return await Worker.start(self._start_child, stuck_s=self._stuck_s)
-            except WorkerLost:
-                await asyncio.sleep(pause_s)
-        try:
-            return await Worker.start(self._start_child, stuck_s=self._stuck_s)
-        except WorkerLost:
-            raise WorkerLost(
-                f"A worker process died {len(_RESTART_AFTER_S) + 1} times while starting.",
-                hint="Look for what kills it, such as the memory limit.",
-            ) from None
+            await asyncio.sleep(pause_s)
+        raise WorkerLost(
+            f"A worker process died {len(_RESTART_AFTER_S)} times while starting.",
+            hint="Look for what kills it, such as the memory limit.",
+        )
 
     async def _refill(self, worker: Worker) -> None:
         await worker.wait_ended()

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import InvalidInput
+from freerein_sim.worlds.world import foreign_snapshot
 
 _UNIT_TOLERANCE = 1e-6
 
@@ -40,7 +40,7 @@ class CameraMove:
         """Sets the directions of a snapshot, as a flat array. Raises InvalidInput where they are no unit vectors."""
         restored = directions.reshape(self.cameras, 3)
         if (np.abs(np.linalg.norm(restored, axis=1) - 1) > _UNIT_TOLERANCE).any():
-            raise InvalidInput("Expected a snapshot of this world; got something else.", field="snapshot")
+            raise foreign_snapshot()
         self.directions = restored.copy()
 
     def apply(self, data: mujoco.MjData) -> None:

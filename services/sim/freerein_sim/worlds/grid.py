@@ -26,6 +26,7 @@ from freerein_sim.worlds.world import (
     WorldSpec,
     check_actions,
     check_view,
+    foreign_snapshot,
     skill_indices,
 )
 
@@ -151,10 +152,7 @@ class GridWorld:
     def restore(self, snapshot: bytes) -> None:
         """Restores a snapshot, after checking every number."""
         if len(snapshot) != _LAYOUT.size or snapshot[0] != _FORMAT_VERSION:
-            raise InvalidInput(
-                f"Expected a snapshot of {_LAYOUT.size} bytes and version {_FORMAT_VERSION}; got something else.",
-                field="snapshot",
-            )
+            raise foreign_snapshot(f"a snapshot of {_LAYOUT.size} bytes and version {_FORMAT_VERSION}")
         numbers = np.array(_LAYOUT.unpack(snapshot)[1:], np.int64)
         agent, objects = numbers[:2], numbers[2:12].reshape(-1, 2)
         recipe, picked = (tuple(int(i) for i in part if i != _NOWHERE) for part in (numbers[12:17], numbers[17:]))
@@ -241,9 +239,7 @@ def _check_state(
         and gone == set(picked)
     )
     if not legal:
-        raise InvalidInput(
-            "Expected a snapshot of a state of the grid; got numbers that no state has.", field="snapshot"
-        )
+        raise foreign_snapshot("a snapshot of a state of the grid", "numbers that no state has")
 
 
 PREDICATES = (

@@ -13,11 +13,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition
 from freerein_sim.worlds import generators
 from freerein_sim.worlds.camera_moves import CameraMove
 from freerein_sim.worlds.rendering import Renderer, gray, open_renderer
-from freerein_sim.worlds.world import Frame, MakeExpert, ScriptedPolicy, WorldSpec, check_view
+from freerein_sim.worlds.world import Frame, MakeExpert, ScriptedPolicy, WorldSpec, check_view, foreign_snapshot
 
 _log = logging.getLogger(__name__)
 
@@ -104,13 +104,10 @@ class MujocoSimulation:
         integrated = mujoco.mj_stateSize(self._model, _STATE)
         size = integrated + (0 if self._camera_move is None else self._camera_move.directions.size)
         if len(snapshot) != _HEADER.size + 8 * size or _HEADER.unpack_from(snapshot) != (_MAGIC, size):
-            raise InvalidInput(
-                f"Expected a snapshot of this world, {_HEADER.size + 8 * size} bytes; got something else.",
-                field="snapshot",
-            )
+            raise foreign_snapshot(f"a snapshot of this world, {_HEADER.size + 8 * size} bytes")
         state = np.frombuffer(snapshot, "<f8", offset=_HEADER.size).astype(np.float64)
         if not np.isfinite(state).all():
-            raise InvalidInput("Expected a snapshot of finite numbers; got one that is not.", field="snapshot")
+            raise foreign_snapshot("a snapshot of finite numbers", "one that is not")
         if self._camera_move is not None:
             self._camera_move.restore(state[integrated:])
         mujoco.mj_resetData(self._model, self.data)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.conditions import LIGHT_CONDITIONS, LIGHTS, light_scale
 from freerein_sim.worlds.opengl import check_mujoco_gl
@@ -23,6 +22,7 @@ from freerein_sim.worlds.world import (
     World,
     WorldSpec,
     check_actions,
+    foreign_snapshot,
     skill_indices,
 )
 
@@ -87,7 +87,7 @@ class PendulumWorld:
         """Sets MuJoCo's integration state and the reward."""
         state, packed = snapshot[: -_REWARD.size], snapshot[-_REWARD.size :]
         if len(packed) != _REWARD.size or not math.isfinite(_REWARD.unpack(packed)[0]):
-            raise InvalidInput("Expected a snapshot of this world; got something else.", field="snapshot")
+            raise foreign_snapshot()
         self._simulation.restore(state)
         (self._reward,) = _REWARD.unpack(packed)
 

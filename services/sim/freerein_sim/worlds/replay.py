@@ -17,12 +17,14 @@ from freerein_sim.worlds.world import (
     UnsavedWorld,
     WorldSpec,
     check_actions,
+    foreign_snapshot,
     skill_indices,
 )
 
 _FORMAT_VERSION = 1
 _HEADER = struct.Struct(f"<BHI{generators.PACKED_BYTES}s")  # version, skills of the recipe, actions, generator
 _RECIPE_DTYPE = np.dtype("<u2")
+_EXPECTED = "a snapshot of an episode of this world"
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,7 @@ class ReplayedWorld:
         if not self._replay(_decode(self.spec, snapshot)):
             if before.start:
                 self._replay(before)
-            raise _not_of_this_world("one that is over")
+            raise foreign_snapshot(_EXPECTED, "one that is over")
 
     def _replay(self, episode: _Episode) -> bool:
         """Repeats an episode; returns whether it goes on after its last action."""
@@ -94,30 +96,22 @@ class ReplayedWorld:
 def _decode(spec: WorldSpec, snapshot: bytes) -> _Episode:
     """Returns the episode of a snapshot, after checking every number."""
     if len(snapshot) < _HEADER.size:
-        raise _not_of_this_world(f"{len(snapshot)} bytes")
+        raise foreign_snapshot(_EXPECTED, f"{len(snapshot)} bytes")
     version, skills, steps, start = _HEADER.unpack_from(snapshot)
     dtype, middle = _wire_dtype(spec), _HEADER.size + skills * _RECIPE_DTYPE.itemsize
     length = middle + steps * spec.action.size * dtype.itemsize
     if version != _FORMAT_VERSION or steps > MAX_EPISODE_STEPS or len(snapshot) != length:
-        raise _not_of_this_world("another version or length")
+        raise foreign_snapshot(_EXPECTED, "another version or length")
     recipe = np.frombuffer(snapshot[_HEADER.size : middle], _RECIPE_DTYPE)
     actions = np.frombuffer(snapshot[middle:], dtype).astype(spec.action.dtype).reshape(steps, spec.action.size)
     if (recipe >= len(spec.skills)).any():
-        raise _not_of_this_world("an unknown skill")
+        raise foreign_snapshot(_EXPECTED, "an unknown skill")
     try:
         check_actions(spec.action, actions, batch=(steps,))
     except InvalidInput:
-        raise _not_of_this_world("actions out of bounds") from None
+        raise foreign_snapshot(_EXPECTED, "actions out of bounds") from None
     return _Episode(start, tuple(spec.skills[i] for i in recipe), list(actions))
 
 
 def _wire_dtype(spec: WorldSpec) -> np.dtype[Any]:
     return spec.action.dtype.newbyteorder("<")
-
-
-def _not_of_this_world(got: str) -> InvalidInput:
-    return InvalidInput(
-        f"Expected a snapshot of an episode of this world; got {got}.",
-        field="snapshot",
-        hint="Send it back unchanged.",
-    )

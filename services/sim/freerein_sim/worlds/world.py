@@ -307,6 +307,11 @@ def check_saves(world: UnsavedWorld) -> None:
         )
 
 
+def foreign_snapshot(expected: str = "a snapshot of this world", got: str = "something else") -> InvalidInput:
+    """Returns the error for a snapshot that is not what was expected."""
+    return InvalidInput(f"Expected {expected}; got {got}.", field="snapshot", hint="Send it back unchanged.")
+
+
 def no_expert() -> Unimplemented:
     """Returns the error for a task without an expert."""
     return Unimplemented(

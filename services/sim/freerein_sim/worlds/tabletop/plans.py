@@ -6,24 +6,9 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from freerein_sim.worlds.tabletop import things
 from freerein_sim.worlds.tabletop.motions import Movement, Pose
 from freerein_sim.worlds.tabletop.simulation import TabletopWorld
-from freerein_sim.worlds.tabletop.things import (
-    BALL,
-    BASE_HALF_M,
-    BLOCK,
-    BLOCK_HALF_M,
-    BOWL_HEIGHT_M,
-    BOWL_RADIUS_M,
-    BOX_HEIGHT_M,
-    CUP_HALF_M,
-    POT_HEIGHT_M,
-    POT_RADIUS_M,
-    SPONGE_HALF_M,
-    SPOON_TIP_M,
-    SPOT_PITCH_M,
-    Thing,
-)
 
 Point = npt.NDArray[np.float64]
 """float64 (3,) in metres."""
@@ -50,7 +35,7 @@ _PERIOD_STEPS = (10, 18)
 _TURNS, _TURNS_LEAST_STEPS, _STROKES_LEAST_STEPS = 1.3, 6.0, 4.5
 
 
-def plan_reach(world: TabletopWorld, thing: Thing, rng: np.random.Generator, steps: int) -> Movement:
+def plan_reach(world: TabletopWorld, thing: things.Thing, rng: np.random.Generator, steps: int) -> Movement:
     """Goes to a thing, possibly by a detour, and closes the fingers around it at the end."""
     movement = Movement(world.set_point, rng)
     movement.rest(0.2, least=0.1)
@@ -78,11 +63,11 @@ def plan_reach(world: TabletopWorld, thing: Thing, rng: np.random.Generator, ste
 def _pour(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movement:
     """Carries the cup to the bowl, tilts it over, and back."""
     pose, bowl = world.set_point, world.position("bowl")
-    angle, radius = rng.uniform(0, 2 * np.pi), 0.4 * world.scale("bowl") * BOWL_RADIUS_M
-    height = world.scale("bowl") * BOWL_HEIGHT_M + rng.uniform(0.03, 0.06)
+    angle, radius = rng.uniform(0, 2 * np.pi), 0.4 * world.scale("bowl") * things.BOWL_RADIUS_M
+    height = world.scale("bowl") * things.BOWL_HEIGHT_M + rng.uniform(0.03, 0.06)
     lip = np.add(bowl, (radius * np.cos(angle), radius * np.sin(angle), height))
     roll = rng.uniform(*_ROLL_RAD) * (1 if pose[1] > bowl[1] else -1)
-    pouring = _brought(world, world.point("cup", (0, 0, CUP_HALF_M)), lip, pitch=pose[3], roll=roll)
+    pouring = _brought(world, world.point("cup", (0, 0, things.CUP_HALF_M)), lip, pitch=pose[3], roll=roll)
     over, upright = pouring.copy(), pouring.copy()
     over[4], upright[4] = 0.2 * roll, 0
     movement = _lift(world, rng)
@@ -97,9 +82,10 @@ def _pour(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movemen
 
 def _stir(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movement:
     """Dips the spoon into the pot, circles, and lifts it out."""
-    height, radius = world.scale("pot") * POT_HEIGHT_M, rng.uniform(0.4, 0.6) * world.scale("pot") * POT_RADIUS_M
+    height = world.scale("pot") * things.POT_HEIGHT_M
+    radius = rng.uniform(0.4, 0.6) * world.scale("pot") * things.POT_RADIUS_M
     middle = np.add(world.position("pot"), (0, 0, rng.uniform(0.3, 0.5) * height))
-    tip = world.point("spoon", (SPOON_TIP_M, 0, 0))
+    tip = world.point("spoon", (things.SPOON_TIP_M, 0, 0))
     stirring = _brought(world, tip, middle, pitch=rng.uniform(*_STIRRING_RAD), roll=0.0)
     first, sense = rng.uniform(0, 2 * np.pi), rng.choice((-1.0, 1.0))
     turns = sense * (_TURNS + max(0.0, steps / rng.uniform(*_PERIOD_STEPS) - 2))
@@ -122,22 +108,22 @@ def _stir(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movemen
 
 def _stack(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movement:
     """Puts the block onto the other one."""
-    height = world.scale("base") * BASE_HALF_M + world.scale("block") * BLOCK_HALF_M + _AIM_M
-    return _put(world, BLOCK, np.add(world.position("base"), (0, 0, height)), rng)
+    height = world.scale("base") * things.BASE_HALF_M + world.scale("block") * things.BLOCK_HALF_M + _AIM_M
+    return _put(world, things.BLOCK, np.add(world.position("base"), (0, 0, height)), rng)
 
 
 def _place(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movement:
     """Drops the ball into the box."""
-    height = world.scale("box") * BOX_HEIGHT_M + rng.uniform(0.005, 0.02)
-    return _put(world, BALL, np.add(world.position("box"), (0, 0, height)), rng)
+    height = world.scale("box") * things.BOX_HEIGHT_M + rng.uniform(0.005, 0.02)
+    return _put(world, things.BALL, np.add(world.position("box"), (0, 0, height)), rng)
 
 
 def _wipe(world: TabletopWorld, rng: np.random.Generator, steps: int) -> Movement:
     """Rubs the sponge over the stain, to and fro, and lifts it."""
-    height = world.scale("sponge") * SPONGE_HALF_M[2] + _AIM_M
+    height = world.scale("sponge") * things.SPONGE_HALF_M[2] + _AIM_M
     middle = np.add(world.position("stain"), (0, 0, height))
     rubbing = _brought(world, world.position("sponge"), middle, pitch=world.set_point[3], roll=world.set_point[4])
-    way = rng.choice((-1.0, 1.0)) * (world.scale("stain") * SPOT_PITCH_M + rng.uniform(0, 0.01))
+    way = rng.choice((-1.0, 1.0)) * (world.scale("stain") * things.SPOT_PITCH_M + rng.uniform(0, 0.01))
     strokes = 1 + max(0, round(steps / rng.uniform(*_PERIOD_STEPS) - 2))
 
     def rub(share: npt.NDArray[np.float64]) -> Pose:
@@ -159,7 +145,7 @@ TASK_PLANS: dict[str, Plan] = {"pour": _pour, "stir": _stir, "stack": _stack, "p
 """By skill. Each begins with its thing in the hand."""
 
 
-def _put(world: TabletopWorld, thing: Thing, place: Point, rng: np.random.Generator) -> Movement:
+def _put(world: TabletopWorld, thing: things.Thing, place: Point, rng: np.random.Generator) -> Movement:
     """Carries a thing to a place, lets go of it, and withdraws."""
     pose, aim = world.set_point, (*rng.uniform(-2 * _AIM_M, 2 * _AIM_M, size=2), 0)
     down = _brought(world, world.position(thing.name), np.add(place, aim), pitch=pose[3], roll=pose[4])

@@ -5,6 +5,7 @@ servo. It comes from the far side of the table, as a person does who sits opposi
 active only while it holds a thing, attach things to it. x points to the camera, y to its right, z up, in metres.
 """
 
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 import mujoco
@@ -12,24 +13,7 @@ import numpy as np
 
 from freerein_sim.worlds.mujoco_world import Scene, compile_scene
 from freerein_sim.worlds.scenes import add_camera, add_lamp, add_servo, new_scene
-from freerein_sim.worlds.tabletop.things import (
-    BALL_RADIUS_M,
-    BASE_HALF_M,
-    BLOCK_HALF_M,
-    BOWL_HEIGHT_M,
-    BOWL_RADIUS_M,
-    BOX_HALF_M,
-    BOX_HEIGHT_M,
-    CUP_HALF_M,
-    CUP_RADIUS_M,
-    POT_HEIGHT_M,
-    POT_RADIUS_M,
-    SPONGE_HALF_M,
-    SPOON_TIP_M,
-    SPOT_RADIUS_M,
-    SPOTS,
-    THINGS,
-)
+from freerein_sim.worlds.tabletop import things
 
 TIMESTEP_S = 0.004
 HAND_JOINTS = ("x", "y", "z", "pitch", "roll")
@@ -64,6 +48,9 @@ _PAINT_M = 0.0008
 """Half thickness of what is painted on."""
 
 
+Geom = dict[str, object]
+
+
 def _gray(level: float) -> list[float]:
     return [level, level, level, 1.0]
 
@@ -75,16 +62,16 @@ def build() -> Scene:
     spec.visual.quality.numslices, spec.visual.quality.numstacks = _SLICES, _STACKS
     _add_room(spec.worldbody)
     _add_hand(spec)
-    for name, add in _THINGS.items():
-        body = spec.worldbody.add_body(name=name)
-        body.add_freejoint(name=name)
-        add(body)
-    for name, add in _FIXTURES.items():
-        add(spec.worldbody.add_body(name=name, mocap=True))
-    for name in SPOTS:
+    for name, geoms in (_THINGS | _FIXTURES).items():
+        body = spec.worldbody.add_body(name=name, mocap=name in _FIXTURES)
+        if name in _THINGS:
+            body.add_freejoint(name=name)
+        for geom in geoms:
+            body.add_geom(**geom)
+    for name in things.SPOTS:
         spot = spec.worldbody.add_body(name=name, mocap=True)
-        spot.add_geom(type=_CYLINDER, size=[SPOT_RADIUS_M, _PAINT_M, 0], rgba=_gray(1), **_NOT_SOLID)
-    for thing in THINGS:
+        spot.add_geom(type=_CYLINDER, size=[things.SPOT_RADIUS_M, _PAINT_M, 0], rgba=_gray(1), **_NOT_SOLID)
+    for thing in things.THINGS:
         weld = spec.add_equality(type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name=thing.name)
         weld.name1, weld.name2, weld.active, weld.solref = "hand", thing.name, False, _WELD_SOLREF
         weld.data = _WELD
@@ -125,71 +112,59 @@ def _look(shade: float) -> dict[str, object]:
     return {"rgba": _gray(shade), **_NOT_SOLID}
 
 
-def _add_cup(body: mujoco.MjsBody) -> None:
-    body.add_geom(type=_CYLINDER, size=[CUP_RADIUS_M, CUP_HALF_M, 0], mass=_MASS_KG, rgba=_gray(1))
-    _add_inside(body, CUP_RADIUS_M - 0.006, CUP_HALF_M)
+def _solid(
+    kind: mujoco.mjtGeom, *size: float, at: Sequence[float] = (0, 0, 0), kg: float = _MASS_KG, **more: object
+) -> Geom:
+    return {"type": kind, "size": [*size, 0, 0][:3], "pos": at, "mass": kg, "rgba": _gray(1), **more}
 
 
-def _add_spoon(body: mujoco.MjsBody) -> None:
-    body.add_geom(type=_BOX, size=[0.065, 0.007, 0.006], pos=[0.03, 0, 0], mass=_MASS_KG, rgba=_gray(1))
-    body.add_geom(type=_ELLIPSOID, size=[0.027, 0.019, 0.007], pos=[SPOON_TIP_M, 0, 0], mass=0.01, rgba=_gray(1))
+def _drawn(kind: mujoco.mjtGeom, *size: float, at: Sequence[float], shade: float = 1.0) -> Geom:
+    return {"type": kind, "size": [*size, 0][:3], "pos": at, **_look(shade)}
 
 
-def _add_block(body: mujoco.MjsBody) -> None:
-    body.add_geom(type=_BOX, size=[BLOCK_HALF_M] * 3, mass=_MASS_KG, rgba=_gray(1))
+def _inside(radius: float, top: float) -> Geom:
+    return _drawn(_CYLINDER, radius, _PAINT_M, at=(0, 0, top), shade=0.4)
 
 
-def _add_base(body: mujoco.MjsBody) -> None:
-    body.add_geom(type=_BOX, size=[BASE_HALF_M] * 3, mass=4 * _MASS_KG, rgba=_gray(1))
-
-
-def _add_ball(body: mujoco.MjsBody) -> None:
-    body.add_geom(
-        type=_SPHERE, size=[BALL_RADIUS_M, 0, 0], mass=_MASS_KG, rgba=_gray(1), condim=6, friction=[1, 0.05, 0.01]
-    )
-
-
-def _add_sponge(body: mujoco.MjsBody) -> None:
-    body.add_geom(type=_BOX, size=SPONGE_HALF_M, mass=_MASS_KG / 4, rgba=_gray(1))
-
-
-def _add_bowl(body: mujoco.MjsBody) -> None:
-    half = BOWL_HEIGHT_M / 2
-    for radius, middle in ((0.6 * BOWL_RADIUS_M, half / 2), (BOWL_RADIUS_M, 1.5 * half)):
-        size = [radius, half / 2, 0]
-        body.add_geom(type=_CYLINDER, size=size, pos=[0, 0, middle], rgba=_gray(1), **_NOT_SOLID)
-    _add_inside(body, BOWL_RADIUS_M - 0.007, BOWL_HEIGHT_M)
-
-
-def _add_pot(body: mujoco.MjsBody) -> None:
-    half = POT_HEIGHT_M / 2
-    body.add_geom(type=_CYLINDER, size=[POT_RADIUS_M, half, 0], pos=[0, 0, half], rgba=_gray(1), **_NOT_SOLID)
-    for side in (-1, 1):
-        at = [0, side * (POT_RADIUS_M + 0.01), 1.6 * half]
-        body.add_geom(type=_BOX, size=[0.014, 0.013, 0.005], pos=at, rgba=_gray(0.7), **_NOT_SOLID)
-    _add_inside(body, POT_RADIUS_M - 0.006, POT_HEIGHT_M)
-
-
-def _add_box(body: mujoco.MjsBody) -> None:
-    outer, half, thin = BOX_HALF_M, BOX_HEIGHT_M / 2, 0.004
-    body.add_geom(type=_BOX, size=[outer, outer, thin], pos=[0, 0, thin], rgba=_gray(0.5))
+def _box() -> Iterator[Geom]:
+    outer, half, thin = things.BOX_HALF_M, things.BOX_HEIGHT_M / 2, 0.004
+    yield {"type": _BOX, "size": [outer, outer, thin], "pos": [0, 0, thin], "rgba": _gray(0.5)}
     for axis in (0, 1):
         for side in (-1, 1):
             at, size = [0.0, 0.0, half], [outer, outer, half]
             at[axis], size[axis] = side * outer, thin
-            body.add_geom(type=_BOX, size=size, pos=at, rgba=_gray(1))
+            yield {"type": _BOX, "size": size, "pos": at, "rgba": _gray(1)}
 
 
-def _add_inside(body: mujoco.MjsBody, radius: float, top: float) -> None:
-    body.add_geom(type=_CYLINDER, size=[radius, _PAINT_M, 0], pos=[0, 0, top], rgba=_gray(0.4), **_NOT_SOLID)
-
-
-_THINGS = {
-    "cup": _add_cup,
-    "spoon": _add_spoon,
-    "block": _add_block,
-    "ball": _add_ball,
-    "sponge": _add_sponge,
-    "base": _add_base,
+_BOWL_M, _POT_M = (things.BOWL_RADIUS_M, things.BOWL_HEIGHT_M), (things.POT_RADIUS_M, things.POT_HEIGHT_M)
+_THINGS: dict[str, Sequence[Geom]] = {
+    "cup": (
+        _solid(_CYLINDER, things.CUP_RADIUS_M, things.CUP_HALF_M),
+        _inside(things.CUP_RADIUS_M - 0.006, things.CUP_HALF_M),
+    ),
+    "spoon": (
+        _solid(_BOX, 0.065, 0.007, 0.006, at=(0.03, 0, 0)),
+        _solid(_ELLIPSOID, 0.027, 0.019, 0.007, at=(things.SPOON_TIP_M, 0, 0), kg=0.01),
+    ),
+    "block": (_solid(_BOX, *[things.BLOCK_HALF_M] * 3),),
+    "ball": (_solid(_SPHERE, things.BALL_RADIUS_M, condim=6, friction=[1, 0.05, 0.01]),),
+    "sponge": (_solid(_BOX, *things.SPONGE_HALF_M, kg=_MASS_KG / 4),),
+    "base": (_solid(_BOX, *[things.BASE_HALF_M] * 3, kg=4 * _MASS_KG),),
 }
-_FIXTURES = {"bowl": _add_bowl, "pot": _add_pot, "box": _add_box}
+_FIXTURES: dict[str, Sequence[Geom]] = {
+    "bowl": (
+        _drawn(_CYLINDER, 0.6 * _BOWL_M[0], _BOWL_M[1] / 4, at=(0, 0, _BOWL_M[1] / 4)),
+        _drawn(_CYLINDER, _BOWL_M[0], _BOWL_M[1] / 4, at=(0, 0, 0.75 * _BOWL_M[1])),
+        _inside(_BOWL_M[0] - 0.007, _BOWL_M[1]),
+    ),
+    "pot": (
+        _drawn(_CYLINDER, _POT_M[0], _POT_M[1] / 2, at=(0, 0, _POT_M[1] / 2)),
+        *(
+            _drawn(_BOX, 0.014, 0.013, 0.005, at=(0, side * (_POT_M[0] + 0.01), 0.8 * _POT_M[1]), shade=0.7)
+            for side in (-1, 1)
+        ),
+        _inside(_POT_M[0] - 0.006, _POT_M[1]),
+    ),
+    "box": tuple(_box()),
+}
+"""By name, the geoms of things that move, and of those that stay."""

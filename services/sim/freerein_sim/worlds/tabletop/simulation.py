@@ -7,32 +7,11 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import InvalidInput
 from freerein_sim.worlds.mujoco_world import MakeWorldExpert, MujocoWorld, Scene
-from freerein_sim.worlds.tabletop import appearance, initial_states, scene
+from freerein_sim.worlds.tabletop import appearance, initial_states, scene, things
 from freerein_sim.worlds.tabletop.recipes import task_of
 from freerein_sim.worlds.tabletop.spec import CONTROL_DT_S, HAND_STEP, OPENING_STEP_M
-from freerein_sim.worlds.tabletop.things import (
-    BASE_HALF_M,
-    BLOCK_HALF_M,
-    BOWL_RADIUS_M,
-    BOX_HALF_M,
-    BOX_HEIGHT_M,
-    CUP_HALF_M,
-    FREE_BODIES,
-    PLACED_BODIES,
-    POT_HEIGHT_M,
-    POT_RADIUS_M,
-    SCALED,
-    SPONGE_HALF_M,
-    SPOON_TIP_M,
-    SPOT_PITCH_M,
-    SPOTS,
-    THINGS,
-    Thing,
-    thing_of,
-)
-from freerein_sim.worlds.world import Action, GroundTruth, StepResult, WorldSpec, check_actions
+from freerein_sim.worlds.world import Action, GroundTruth, StepResult, WorldSpec, check_actions, foreign_snapshot
 
 _SUBSTEPS = round(CONTROL_DT_S / scene.TIMESTEP_S)
 _GRASP_M = 0.025
@@ -47,15 +26,15 @@ _WIPED_M = -0.1
 _WIPING_M = 0.012
 """Greatest height of a wiping sponge's lower side."""
 
-_STAIN_M = np.array([(x, y) for x in (-0.5, 0.5) for y in (-1.0, 0.0, 1.0)]) * SPOT_PITCH_M
+_STAIN_M = np.array([(x, y) for x in (-0.5, 0.5) for y in (-1.0, 0.0, 1.0)]) * things.SPOT_PITCH_M
 """Offset of each spot from the middle of the stain: float64 (6, 2)."""
 
-_REST_M = {**{thing.name: thing.rest_m for thing in THINGS}, "base": BASE_HALF_M}
+_REST_M = {**{thing.name: thing.rest_m for thing in things.THINGS}, "base": things.BASE_HALF_M}
 _ON_SHOW_M = -1.0
 _POSE_PART = slice(3, 10)
 """Where a weld's data have the held body's pose in the hand: position, quaternion."""
 
-_OWN_NUMBERS = appearance.LOW.size + 7 * len(THINGS) + 1
+_OWN_NUMBERS = appearance.LOW.size + 7 * len(things.THINGS) + 1
 """Numbers in a snapshot before MuJoCo's: the appearance, a pose for each weld, and the episode's task."""
 
 _ROUNDING = 1e-6
@@ -82,24 +61,24 @@ class TabletopWorld(MujocoWorld):
         super().__init__(spec, Scene(self._model, shared.fingerprint), make_expert)
         self._only_own = only_own
         self._dress((appearance.LOW + appearance.HIGH) / 2)
-        self.thing = THINGS[0]
+        self.thing = things.THINGS[0]
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
         """Draws the initial state. A recipe has an effect on it only where no more than its objects are on show."""
-        task, drawn = task_of(recipe), THINGS[int(rng.integers(len(THINGS)))]
-        self.thing = thing_of(task) if task else drawn
-        on_show = (self.thing.name, self.thing.used_on) if self._only_own else SCALED
+        task, drawn = task_of(recipe), things.THINGS[int(rng.integers(len(things.THINGS)))]
+        self.thing = things.thing_of(task) if task else drawn
+        on_show = (self.thing.name, self.thing.used_on) if self._only_own else things.SCALED
         self._simulation.reset(rng)
         self._model.eq_data[:] = self._nominal.eq_data
         self._dress(appearance.draw(rng))
         start = initial_states.draw(rng, on_show)
-        for name in FREE_BODIES:
+        for name in things.FREE_BODIES:
             yaw = start.yaws_rad[name]
             place = (*start.places_m[name], self.scale(name) * _REST_M[name])
             self._data.joint(name).qpos = (*place, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2))
-        for name in PLACED_BODIES:
+        for name in things.PLACED_BODIES:
             self._move(name, (*start.places_m[name], 0))
-        for name, offset in zip(SPOTS, self.scale("stain") * _STAIN_M, strict=True):
+        for name, offset in zip(things.SPOTS, self.scale("stain") * _STAIN_M, strict=True):
             self._move(name, (*(start.places_m["stain"] + offset), 0))
         for name, value in zip(scene.HAND_JOINTS, start.hand, strict=True):
             self._data.joint(name).qpos = value
@@ -137,49 +116,49 @@ class TabletopWorld(MujocoWorld):
             [
                 [float(self._data.joint(name).qpos[0]) for name in scene.HAND_JOINTS],
                 [sum(float(self._data.joint(f"finger.{side}").qpos[0]) for side in ("left", "right"))],
-                [0 if self.held is None else 1 + THINGS.index(self.held)],
-                *(self._data.joint(name).qpos for name in FREE_BODIES),
-                *(self.position(name)[:2] for name in (*PLACED_BODIES, "stain")),
-                [sum(self.position(name)[2] > _WIPED_M for name in SPOTS)],
-                self.point("cup", (0, 0, CUP_HALF_M)),
-                self.point("spoon", (SPOON_TIP_M, 0, 0)),
-                [self.scale("bowl") * BOWL_RADIUS_M],
-                [self.scale("pot") * POT_RADIUS_M, self.scale("pot") * POT_HEIGHT_M],
-                [self.scale("box") * BOX_HALF_M, self.scale("box") * BOX_HEIGHT_M],
-                [2 * self.scale("block") * BLOCK_HALF_M, 2 * self.scale("base") * BASE_HALF_M],
+                [0 if self.held is None else 1 + things.THINGS.index(self.held)],
+                *(self._data.joint(name).qpos for name in things.FREE_BODIES),
+                *(self.position(name)[:2] for name in (*things.PLACED_BODIES, "stain")),
+                [sum(self.position(name)[2] > _WIPED_M for name in things.SPOTS)],
+                self.point("cup", (0, 0, things.CUP_HALF_M)),
+                self.point("spoon", (things.SPOON_TIP_M, 0, 0)),
+                [self.scale("bowl") * things.BOWL_RADIUS_M],
+                [self.scale("pot") * things.POT_RADIUS_M, self.scale("pot") * things.POT_HEIGHT_M],
+                [self.scale("box") * things.BOX_HALF_M, self.scale("box") * things.BOX_HEIGHT_M],
+                [2 * self.scale("block") * things.BLOCK_HALF_M, 2 * self.scale("base") * things.BASE_HALF_M],
             ]
         )
         return GroundTruth(state, 0.0, success=False)
 
     def snapshot(self) -> bytes:
         """Returns the episode's task, the appearance, how each thing was last held, and MuJoCo's integration state."""
-        own = (self._appearance, self._model.eq_data[:, _POSE_PART].ravel(), [THINGS.index(self.thing)])
+        own = (self._appearance, self._model.eq_data[:, _POSE_PART].ravel(), [things.THINGS.index(self.thing)])
         return np.concatenate(own).astype("<f8").tobytes() + super().snapshot()
 
     def restore(self, snapshot: bytes) -> None:
         """Restores a snapshot, after checking every number."""
         size = 8 * _OWN_NUMBERS
         if len(snapshot) < size:
-            raise _not_of_this_world()
+            raise foreign_snapshot()
         own = np.frombuffer(snapshot[:size], "<f8").astype(np.float64)
         drawn, welds, task = np.split(own, [appearance.LOW.size, _OWN_NUMBERS - 1])
-        poses = welds.reshape(len(THINGS), -1)
+        poses = welds.reshape(len(things.THINGS), -1)
         in_range = (drawn >= appearance.LOW) & (drawn <= appearance.HIGH)
         is_near = np.abs(poses[:, :3]) < _GRASP_M + _ROUNDING
         is_turn = np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1) < _ROUNDING
-        is_task = np.isin(task, range(len(THINGS)))
+        is_task = np.isin(task, range(len(things.THINGS)))
         if not all(each.all() for each in (in_range, is_near, is_turn, is_task)):
-            raise _not_of_this_world()
+            raise foreign_snapshot()
         super().restore(snapshot[size:])
         self._dress(drawn)
-        self.thing = THINGS[int(task[0])]
+        self.thing = things.THINGS[int(task[0])]
         self._model.eq_data[:, _POSE_PART] = poses
         self._simulation.refresh()
 
     @property
-    def held(self) -> Thing | None:
+    def held(self) -> things.Thing | None:
         """What the hand holds."""
-        return next((thing for thing, weld in zip(THINGS, self._data.eq_active, strict=True) if weld), None)
+        return next((thing for thing, weld in zip(things.THINGS, self._data.eq_active, strict=True) if weld), None)
 
     @property
     def set_point(self) -> npt.NDArray[np.float64]:
@@ -197,14 +176,14 @@ class TabletopWorld(MujocoWorld):
         """Returns the factor of a thing's nominal size."""
         return self._scales[name]
 
-    def width(self, thing: Thing) -> float:
+    def width(self, thing: things.Thing) -> float:
         """Returns the distance of fingers that hold a thing, in metres."""
         return self.scale(thing.name) * thing.width_m
 
     def position(self, name: str) -> Point:
         """Returns the origin of a thing; of the stain, its middle."""
         if name == "stain":
-            return np.asarray(np.mean([self.position(spot) for spot in SPOTS], axis=0))
+            return np.asarray(np.mean([self.position(spot) for spot in things.SPOTS], axis=0))
         return np.array(self._data.body(name).xpos)
 
     def point(self, name: str, offset: tuple[float, float, float]) -> Point:
@@ -212,7 +191,7 @@ class TabletopWorld(MujocoWorld):
         axes = np.array(self._data.body(name).xmat).reshape(3, 3)
         return self.position(name) + axes @ (self.scale(name) * np.array(offset))
 
-    def is_on_show(self, thing: Thing) -> bool:
+    def is_on_show(self, thing: things.Thing) -> bool:
         """Returns whether a thing is on the table, not on the pad."""
         return bool(self.position(thing.name)[0] > _ON_SHOW_M)
 
@@ -232,7 +211,7 @@ class TabletopWorld(MujocoWorld):
     def _grasp(self, opening_m: float) -> None:
         """Holds the thing that the fingers have closed around, if any."""
         hand, turn_back = self._data.body("hand"), np.empty(4)
-        for i, thing in enumerate(THINGS):
+        for i, thing in enumerate(things.THINGS):
             offset = self.position(thing.name) - hand.xpos
             if np.linalg.norm(offset) < _GRASP_M and opening_m <= self.width(thing):
                 weld = self._model.eq_data[i, _POSE_PART]
@@ -245,18 +224,10 @@ class TabletopWorld(MujocoWorld):
     def _wipe(self) -> None:
         """Takes away the spots under a sponge that is on the table."""
         sponge = self._data.body("sponge")
-        if sponge.xpos[2] > self.scale("sponge") * SPONGE_HALF_M[2] + _WIPING_M:
+        if sponge.xpos[2] > self.scale("sponge") * things.SPONGE_HALF_M[2] + _WIPING_M:
             return
-        for name in SPOTS:
+        for name in things.SPOTS:
             offset = sponge.xmat.reshape(3, 3).T @ (self.position(name) - sponge.xpos)
-            if (np.abs(offset[:2]) < self.scale("sponge") * np.array(SPONGE_HALF_M[:2])).all():
+            if (np.abs(offset[:2]) < self.scale("sponge") * np.array(things.SPONGE_HALF_M[:2])).all():
                 self._move(name, (*self.position(name)[:2], 2 * _WIPED_M))
         self._simulation.refresh()
-
-
-def _not_of_this_world() -> InvalidInput:
-    return InvalidInput(
-        "Expected a snapshot of this world; got something else.",
-        field="snapshot",
-        hint="Send the snapshot back unchanged.",
-    )
