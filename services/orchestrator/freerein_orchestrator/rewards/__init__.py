@@ -10,6 +10,7 @@ from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
 from freerein_orchestrator.rewards.learned import LEARNED
 from freerein_orchestrator.rewards.oracle import ORACLE
 from freerein_orchestrator.rewards.shaping import SHAPING
+from freerein_orchestrator.rewards.vice import VICE
 from freerein_orchestrator.rl.reward import Reward
 
 REWARDS: Mapping[str, RewardEntry] = {
@@ -19,6 +20,7 @@ REWARDS: Mapping[str, RewardEntry] = {
     "curiosity": CURIOSITY,
     "constant": CONSTANT,
     "shaping": SHAPING,
+    "vice": VICE,
 }
 
 
