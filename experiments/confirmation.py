@@ -8,8 +8,6 @@ from experiments.segmentation.evaluation import CONFIDENT_ACCURACY
 from experiments.segmentation.experiment import SegmentationExperiment
 from experiments.segmentation.methods import (
     CAUSAL,
-    GUESSES_AND_INTERVALS,
-    HOW_CHOSEN,
     RECIPE,
     WHOLE,
     at_every_timestep,
@@ -21,6 +19,7 @@ from experiments.segmentation.report import Report
 from experiments.segmentation.rows import Row
 from experiments.segmentation.study import Method, Study
 from experiments.segmentation.targets import Target
+from experiments.workbench.table import words
 
 _TEST_SEED = 20_261_127
 """Of the test trajectories: written down before any network of this experiment was trained."""
@@ -65,25 +64,6 @@ _UNEVEN = (
     _World("dial.uneven", 2_000, 200, 2, 4, 5, steps=4_000),
     _World("bins.uneven", 1_000, 200, 3, 3, 4, steps=4_000),
 )
-
-_TEXT = f"""\
-Frame accuracy, in per cent of timesteps. `recipe` is what the rule of `development` chose in `blocks`, unchanged in all
-worlds: `lse_per_timestep` for half of the steps, then `set_likelihood`. `recipe_without_actions` is given frames alone,
-`recipe_without_frames` black frames. The {_TEST} test trajectories of each world are drawn from a seed that was written
-down before any network here was trained, {_TEST_SEED}, and are looked at once. Training and validation trajectories
-are those of tables 2.1, 2.2 and 2.4. In `dial.uneven` and `bins.uneven` a skill takes from a fourth of the time of
-another to four times as long, drawn anew for each segment: there equal shares of the time tell little.
-
-All rows of a world share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimiser steps (the first
-{_WARMUP_STEPS} to warm up), and differ in
-{HOW_CHOSEN} The rates begin with three, and more are tried until the best lies between two others.
-
-The rows share a stride, too, but `lse_stride-1` and its like: they label all timesteps by one sequence, the others by
-one for each phase of the stride, which makes labels flicker. `equal_parts` is the true order of the skills, each for an
-equal part of the time.
-
-{GUESSES_AND_INTERVALS}
-"""
 
 
 def _study(world: _World, methods: tuple[Method, ...]) -> Study:
@@ -164,5 +144,7 @@ EXPERIMENT = SegmentationExperiment(
         *(_study(world, _methods(world)) for world in _WORLDS),
         *(_study(world, _methods_of_uneven()) for world in _UNEVEN),
     ),
-    report=Report("confirmation", title="One recipe on new test trajectories", text=_TEXT.strip(), targets=_TARGETS),
+    report=Report(
+        "confirmation", title="One recipe on new test trajectories", text=words("confirmation"), targets=_TARGETS
+    ),
 )

@@ -6,8 +6,6 @@ from experiments.segmentation.dataset import DatasetSpec, SplitSpec
 from experiments.segmentation.experiment import SegmentationExperiment
 from experiments.segmentation.methods import (
     CAUSAL,
-    GUESSES_AND_INTERVALS,
-    HOW_CHOSEN,
     LOOKAHEAD,
     WHOLE,
     objectives,
@@ -18,34 +16,11 @@ from experiments.segmentation.methods import (
 )
 from experiments.segmentation.report import Report
 from experiments.segmentation.study import Method, Study
+from experiments.workbench.table import words
 from freerein.learning.checkpoints import JSON
 
 _STEPS, _TRIAL_STEPS, _BATCH_SIZE = 1_600, 400, 16
 _LEARNING_RATES = (1.5e-3, 5e-3, 1.5e-2)
-
-_TEXT = f"""\
-Frame accuracy, in per cent of timesteps. `blocks`: an arm moves coloured blocks; training trajectories have 2 or 3
-skills, test trajectories all 4. Here, and only here, true labels may be looked at while methods are chosen.
-
-One recipe is chosen here, and carried unchanged to the worlds of `confirmation`. The rule, written down before any of
-these rows was trained with three seeds: of `ours`, `ours_from_lse`, `ours_after_causal`, `ours_after_lookahead-5`,
-`ours_after_lookahead-10`, `self_training`, `set_likelihood` and `lse_per_timestep` it is the one with the highest frame
-accuracy on the test trajectories, not decoded, as a mean over three seeds; of those within half a point of it, the
-first in that order. A row that this mean can no longer choose is trained no further. It chose `set_likelihood`: even
-with 100 in the seeds that they lack the others would stay more than half a point below.
-How far labels are moved, in the rows of `confirmation` that move them, is chosen here, too: by as
-many timesteps as give a method the highest decoded accuracy, as a mean over its seeds.
-
-All rows share network, loop, batch size ({_BATCH_SIZE} trajectories) and optimiser steps ({_STEPS}, the first 300 to
-warm up; in trials {_TRIAL_STEPS}), and differ in
-{HOW_CHOSEN}
-
-After half of the steps, some rows go on from `lse_per_timestep` with another objective: `set_likelihood`, or
-`self_training` on labels within the tags; `ours` also weighs what skills' actions tell. `ours_from_lse` is `ours` with
-`lse` in the place of `lse_per_timestep`, `ours_after_CONTEXT` is `ours` that sees less of the future before.
-
-{GUESSES_AND_INTERVALS}
-"""
 
 
 def _then(name: str, objective: str, **settings: JSON) -> Method:
@@ -87,5 +62,5 @@ EXPERIMENT = SegmentationExperiment(
             trial_steps=_TRIAL_STEPS,
         ),
     ),
-    report=Report("development", title="The development world", text=_TEXT.strip()),
+    report=Report("development", title="The development world", text=words("development")),
 )

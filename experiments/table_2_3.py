@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from experiments import table_2_2
-from experiments.segmentation.evaluation import CONFIDENT_ACCURACY, FRAME_ACCURACY, KEPT_ACCURACY, LEAST_CONFIDENCE
+from experiments.segmentation.evaluation import CONFIDENT_ACCURACY, FRAME_ACCURACY, KEPT_ACCURACY
 from experiments.segmentation.methods import CAUSAL, OURS, WHOLE
 from experiments.segmentation.rows import PER_CENT, Row, Rows
 from experiments.segmentation.zero_shot import CLONED, EXPERT, SUBTASKS, TRUE_LABELS, WHOLE_RECIPES, ZeroShot
@@ -15,7 +15,7 @@ from experiments.workbench.claims import Claim
 from experiments.workbench.configs import Config
 from experiments.workbench.plots import interval_plot
 from experiments.workbench.results import ArmResult, Outcome, Sample
-from experiments.workbench.table import Picture, Section, Table
+from experiments.workbench.table import Picture, Section, Table, words
 
 _SOURCE, _WORLD = "table_2_2", table_2_2.DIAL
 _SEEDS = 3
@@ -47,15 +47,6 @@ _HEADER = (
     "dissertation: accuracy / kept / subtasks, %",
     "seeds",
 )
-_TEXT = f"""\
-Labels of validation trajectories of `dial`, smoothed by a Gaussian over time, without segments under 5 timesteps, as in
-the dissertation; by confidence, first without timesteps whose smoothed probability is under {LEAST_CONFIDENCE}. And
-zero-shot execution: policies are cloned from the labelled segments of 2 000 demonstrations of 2 to 4 digits, and
-execute 100 recipes of 5, in at most twice the steps of a demonstration. A learned end, never the simulator's state,
-switches from one skill to the next; the simulator judges whether a key was pressed in its turn. `true` clones the true
-labels, the ceiling; `expert` is the scripted one. The networks are those of table 2.2.
-"""
-
 ZERO_SHOT = ZeroShot(
     source=_SOURCE,
     study=table_2_2.EXPERIMENT.studies[0],
@@ -99,7 +90,7 @@ class _Experiment:
         cells = (_cells(row, rows, executed[row], made.get(row)) for row in shown)
         return Table(
             title="Rejection and zero-shot execution (Table 2.3)",
-            text=_TEXT.strip(),
+            text=words("table_2_3"),
             sections=(Section(_HEADER, tuple(cells)),),
             claims=tuple(made.values()),
             picture=Picture(
@@ -138,9 +129,7 @@ def _claim(row: Row, executed: dict[Row, list[ArmResult]]) -> Claim:
         seeds=None if row.method == EXPERT else len(arms),
         trials=len(samples[0].totals),
         scale=None if row.method == EXPERT else "full",
-        baseline=None,
         ceiling=None if ceiling is None or row.method in (TRUE_LABELS, EXPERT) else round(ceiling, 3),
-        gap_closed=None,
         dissertation=_DISSERTATION[row][2] if row in _DISSERTATION else None,
         target=_LEAST_SUCCESS if is_ours else None,
         met=len(arms) >= _SEEDS and (value >= _LEAST_SUCCESS or _is_close(samples, ceilings)) if is_ours else None,

@@ -9,7 +9,7 @@ from experiments.first_session.figures import Figure, Session, figures, returns_
 from experiments.first_session.pipeline import FULL, TASKS, TEXTS
 from experiments.workbench.claims import Claim
 from experiments.workbench.results import ArmResult
-from experiments.workbench.table import Picture, Section, Table
+from experiments.workbench.table import Picture, Section, Table, words
 from freerein.cli.demo.curves import returns_figure
 from freerein.cli.demo.evaluations import Measured
 
@@ -17,14 +17,6 @@ _MOST_IN_DIGITS = 1000
 """From here on numbers are shown without exponent."""
 
 _HEADER = ("figure", "value", "95 % interval", "baseline", "bar", "")
-
-_TEXT = """\
-One run of kind `pipeline`: demonstrations, random exploration and unlabelled images are recorded; segmentation, reward,
-goal image and skill models are fitted to them; a policy is trained by PPO on the reward that was learned, and distilled
-with one that ships into a language policy. All are measured against true states that no learner sees, beside the
-trivial answer on the same data. A return is the number of timesteps, of the 100 of an episode, in which the goal holds.
-`distill.left_of.conditioned_on_right` is the return in the left task of the policy that is given the right one's
-sentence. `_s` are seconds, on the machine that `{name}.json` names. Intervals are over trials, with one seed."""
 
 
 def shown(evaluations: Mapping[str, Mapping[str, Any]], seconds: Mapping[str, float], curve: Any) -> dict[str, Any]:
@@ -59,7 +51,7 @@ def table(result: ArmResult) -> Table:
     has_bars = result.options["size"] == FULL
     return Table(
         title="A first session, measured",
-        text=_TEXT.format(name=result.name),
+        text=words("first_session").replace("{name}", result.name),
         sections=(Section(_HEADER, tuple(_cells(each, has_bar=has_bars) for each in found)),),
         claims=tuple(_claim(each, result) for each in found) if has_bars else (),
         picture=Picture("PPO from random weights, then distillation", partial(_draw, session, result.shown)),
@@ -87,11 +79,7 @@ def _claim(figure: Figure, result: ArmResult) -> Claim:
         high=measured.high,
         seeds=1,
         trials=figure.trials,
-        scale=None,
         baseline=measured.baseline,
-        ceiling=None,
-        gap_closed=None,
-        dissertation=None,
         target=figure.target,
         met=figure.met,
         world_version=result.world_version,

@@ -13,56 +13,10 @@ from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, SCATTERED, condi
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.workbench import claims
 from experiments.workbench.results import ArmResult
-from experiments.workbench.table import Picture, Section, Table
+from experiments.workbench.table import Picture, Section, Table, words
 from freerein_sim.worlds.tasks import tasks
 
 _TITLE = "Robustness: every model under every condition"
-
-_TEXT = """\
-Models of the world `blocks`, fitted without any of these conditions and evaluated under each; true labels and states
-are read by the evaluation alone. `augmented` is the library's default, `plain` the same fit with augmentation 0. Both
-have the same data, seeds and number of steps, and are not tuned to a condition. Hue, light, white balance, noise and
-small camera moves are like what the augmentation does; blur, JPEG, numbers of blocks and the speed of play are not.
-
-*Segmentation*: 400 expert trajectories of 2 to 3 skills with their tags; frame accuracy, in per cent, on 40 held-out
-trajectories of all 4 skills for each condition (of 2 and 3 with as many blocks), after the service's decoding with its
-defaults. `random` guesses a skill for each frame; `majority` knows each trajectory's longest skill.
-
-*Reward*: 1 500 trajectories of 6 frames of random actions among 2 to 4 blocks, with captions by the grounding model;
-balanced accuracy, in per cent, of the preferred one of 5 relations on 300 held-out scenes for each condition and number
-of blocks, over all ordered pairs of blocks on show. A constant answer scores 20 balanced: `majority`. `word_blind`
-knows the commonest relation of each scene and answers it for every pair. `captions` is table 4.1's rule at the places
-where the grounding model finds the blocks, which is what the reward models learn from. A scene is rewarded for a pair
-with a block that is not on show when one of the pair's five goals is rewarded. Rivals exclude each other, so that the
-mean reward over the five goals is a fifth of that.
-
-*PPO*: the share of steps, in per cent, in which the goal holds by the oracle, in 30 nominal episodes and 12 for each
-condition, of the policies that ship, with sampled actions. They are no fits of this benchmark and have no target here.
-
-*Policies*: pipelines of the orchestrator on services of their own, evaluated as the product does. A follower learns
-from trajectories of random actions, pursues 4 landmarks 6 steps apart of a random rollout, and goes on when its own
-flag says so; its baseline is `goal_conditioned`. Skills are cloned from demonstrations with the labels of the arm's own
-segmentation, and execute all four in random order; the ceiling is the scripted expert. PPO's actor and critic begin
-with random weights, behind a frozen eye that comes from the shipped reward model. They are rewarded by that model, and
-for coming nearer to the block as the eye sees it, under `start-on-the-way`; the oracle evaluates them from the task's
-own starts, beside the expert in the same episodes. Steps are simulated control ticks. Of the wordings that the language
-policy is told, verbs, the sentences around a statement and the noun `cube` are held out of the random texts that train
-its text reader; `yellow`, `green`, `block` and the wordings of relations are not, and a converse without a verb has
-nothing that is held out.
-
-`blocks` is the world in which these methods were developed, with true states in sight of people though not of learners:
-episodes here are held out, the world is not. Reward fits without augmentation have two seeds.
-
-*Wordings*: naming an unknown word counts as right where a text has one, as in synonyms of colours, all of which are
-refused. What the grammar reads has the reward of its caption, so classes that it reads whole have equal figures.
-
-The baseline of a segmentation or reward claim is the plain fit.
-
-Intervals are 95 %: bootstrap over seeds and over trials (trajectories, or episodes of two scenes), which all seeds
-share: more seeds do not make up for few trials. They cover less than 95 % where seeds are three. Those of AUROC are
-over wrong answers, and of ECE with the sign of each bin's gap held fixed; there answers of one trajectory under several
-conditions count as independent. A claim is met where its mean reaches the bar.
-"""
 
 _VARIANTS = (OURS, BASELINE)
 _GUESSES = MappingProxyType({DEMONSTRATED: ("majority", "random"), SCATTERED: ("captions", "word_blind", "majority")})
@@ -102,7 +56,7 @@ def table(results: Sequence[ArmResult]) -> Table:
     columns = [each for each in _columns(results) if _arms(results, each)]
     return Table(
         title=_TITLE,
-        text=_TEXT.strip(),
+        text=words("robustness"),
         sections=(
             _claims_section(made),
             _conditions_section(results, columns),

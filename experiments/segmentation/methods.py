@@ -1,4 +1,4 @@
-"""The methods of chapter 2: the dissertation's, its baselines, ours, full supervision; and what tables say of them."""
+"""The methods of chapter 2: the dissertation's, its baselines, ours, full supervision."""
 
 from experiments.segmentation.study import SUPERVISED, Method, context_of
 from freerein.learning.checkpoints import JSON
@@ -8,36 +8,6 @@ OURS, OURS_FROM_LSE, OURS_AFTER, RECIPE = "ours", "ours_from_lse", "ours_after",
 
 LEARNING_RATES = (5e-4, 1.5e-3, 5e-3, 1.5e-2)
 """Peak learning rates that every method tries."""
-
-HOW_CHOSEN = """\
-objective and context. Each tries the same four peak learning rates in short trials; the lowest validation loss, of the
-tags, and for `supervised` of true labels, chooses, and it chooses the weights that are evaluated. The dissertation's
-method is `lse` with the causal context; it has a learning rate of 1e-4 and gives no number of steps."""
-
-HOW_OURS = """\
-`ours` trains with `lse_per_timestep`, `ours_from_lse` with `lse`, each for half of the steps; then both train
-themselves: a copy labels trajectories within their tags, and the network learns these labels. `ours_after_causal` is
-`ours` that sees nothing of the future until it trains itself, `ours_after_lookahead-L` L timesteps: what sees how a
-trajectory ends knows the tags before the skills begin.
-
-Where there are several rows of ours, the first seed chooses whose a claim is, and no true label: of `ours` in several
-contexts, and of `ours_from_lse`, the loss of held-out tags; between the two, which labels explain held-out actions
-better. A row is left out where its network had decided
-nothing before it trained itself: where its confidence on held-out timesteps was less than a third of the way from equal
-shares of the tags to certainty. A fit warns of that."""
-
-GUESSES_AND_INTERVALS = """\
-`random` guesses a skill for each timestep, `random_cls` one of the trajectory's skills (the dissertation averages over
-trajectories, the table over timesteps), `majority` always the trajectory's longest skill. `decoded` is after a Gaussian
-filter over time and the merging of segments under 5 timesteps.
-
-`gap closed` is (value - lse) / (supervised in the same context - lse), where that gap is at least half a point; this
-`lse` is the dissertation's, which is causal. A claim takes the least of four: from that, and from the published
-objective and context that is best by true labels; of labels as they are, and decoded. Intervals are by bootstrap over
-seeds and over trajectories, which all seeds share: with three seeds they are about the range of the seeds, and cover
-less than 95 %. With one seed, and for guesses, they are over trajectories only, and say nothing about other seeds.
-`minutes` are of all seeds, on machines that differ, some with a GPU: they do not compare rows. Each result names its
-machine."""
 
 
 def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tuple[Method, ...]:

@@ -46,13 +46,13 @@ class Claim:
     high: float | None
     seeds: int | None
     trials: int
-    scale: Scale | None
-    baseline: float | None
-    ceiling: float | None
-    gap_closed: float | None
-    dissertation: float | None
-    target: float | None
-    met: bool | None
+    scale: Scale | None = None
+    baseline: float | None = None
+    ceiling: float | None = None
+    gap_closed: float | None = None
+    dissertation: float | None = None
+    target: float | None = None
+    met: bool | None = None
     world_version: str
     command: str
     minutes: float

@@ -1,6 +1,7 @@
 """The table of an experiment: `table.md`, `table.json` with its claims, and `table.png`."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -8,6 +9,9 @@ from pathlib import Path
 from experiments.workbench.claims import Claim
 from experiments.workbench.results import TABLE_FILE
 from freerein.atomic_files import write_atomic
+
+WORDS = Path(__file__).parents[1] / "words"
+"""Folder of the words of tables and pages."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,12 @@ class Table:
     sections: tuple[Section, ...]
     claims: tuple[Claim, ...]
     picture: Picture
+
+
+def words(name: str) -> str:
+    """Returns the words of a table; `{how_ours}` in them stands for the words of that name."""
+    text = (WORDS / f"{name}.md").read_text().strip()
+    return re.sub(r"\{(how_\w+|guesses\w+)\}", lambda found: words(found[1]), text)
 
 
 def save(table: Table, folder: Path) -> None:
