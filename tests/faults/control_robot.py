@@ -1,7 +1,4 @@
-"""Robots for the tests of control streams: what they say, how they say it, and what they must hear.
-
-The tests load this file, and `faulty_policy.py`, by their paths.
-"""
+"""Robots for the tests of control streams: what they say, how they say it, and what they must hear."""
 
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
@@ -10,11 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from freerein.serving.batcher import BatchResult
 from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ControlRequest, ControlResponse, Hello, Observed
 from freerein_imitation.core import PolicyRunner
 from freerein_imitation.core.act_context import ActContext
 from freerein_imitation.core.inference import InferenceResult
+from freerein_imitation.core.policy_session import PolicySession
 
 FAULTS = ("right", "raises", "nan", "shape", "infinite", "held")
 ACTION = ActionSpec(2, 0, ("x", "y"), "m", (0.01, 0.01))
@@ -98,9 +97,7 @@ class Oracle:
 
     def __init__(self, context: ActContext) -> None:
         self._runner = PolicyRunner()
-        self._context = context
-        self._state = context.decode_state(b"")
-        self._begun = False
+        self._session = PolicySession(context)
 
     @classmethod
     async def of(cls, policy: Any, *brightness: int) -> "Oracle":
@@ -109,12 +106,10 @@ class Oracle:
     async def answer(self, request: ControlRequest) -> InferenceResult:
         observed = request.observed
         assert observed is not None
-        item = await self._context.parse(
-            observed.observation, observed.executed_actions, self._state, elapsed=int(self._begun)
-        )
+        item = await self._session.parse(observed.observation, observed.executed_actions, elapsed=1)
         (result,) = self._runner.run_batch([item])
         assert isinstance(result, InferenceResult)
-        self._state, self._begun = result.state, True
+        self._session.answer(BatchResult(result, 0, 0, 1), arrived_ns=0)
         return result
 
     async def check(self, request: ControlRequest, reply: ControlResponse) -> None:

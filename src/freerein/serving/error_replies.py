@@ -9,6 +9,7 @@ import orjson
 from google.protobuf import any_pb2, duration_pb2
 from google.rpc import error_details_pb2, status_pb2
 from grpc_status import rpc_status
+from starlette.responses import Response
 
 from freerein.errors import Internal, ServiceError
 from freerein.serving.rest.wording import with_paths
@@ -43,9 +44,19 @@ def internal_error() -> Internal:
     return Internal("The service failed internally; its log holds the cause.", hint="Report it with the request id.")
 
 
-def problem_document(error: ServiceError, request_id: str) -> bytes:
+class MethodNotAllowed(ServiceError):
+    """The path has another HTTP method; `allow` names those that it has."""
+
+    code, http_status, grpc_status = "method_not_allowed", 405, "UNIMPLEMENTED"
+
+    def __init__(self, allow: str) -> None:
+        super().__init__("The path has another method.", hint="See /openapi.json.")
+        self.allow = allow
+
+
+def problem_response(error: ServiceError, request_id: str) -> Response:
     """Returns an error as a JSON problem document of at most 4 KiB; RPCs that it names have become paths."""
-    return orjson.dumps(
+    document = orjson.dumps(
         {
             "type": "about:blank",
             "title": TITLES[error.http_status],
@@ -57,6 +68,16 @@ def problem_document(error: ServiceError, request_id: str) -> bytes:
             "request_id": request_id,
         }
     )
+    headers = {"x-request-id": request_id}
+    if error.retry_after_s is not None:
+        headers["retry-after"] = str(max(1, math.ceil(error.retry_after_s)))
+    if error.http_status == 401:
+        headers["www-authenticate"] = "Bearer"
+    if error.http_status in (400, 408, 413):
+        headers["connection"] = "close"  # the end of this request's body is unknown, or still to come
+    if isinstance(error, MethodNotAllowed):
+        headers["allow"] = error.allow
+    return Response(document, error.http_status, headers, PROBLEM_MEDIA_TYPE)
 
 
 def error_line(error: ServiceError, request_id: str) -> str:
@@ -77,18 +98,6 @@ def close_reason(error: ServiceError) -> str:
     while len(reason.encode()) > _MAX_REASON_BYTES:
         reason = reason.rpartition(" ")[0]
     return reason
-
-
-def problem_headers(error: ServiceError, request_id: str) -> dict[str, str]:
-    """Returns the HTTP headers of an error's reply."""
-    headers = {"content-type": PROBLEM_MEDIA_TYPE, "x-request-id": request_id}
-    if error.retry_after_s is not None:
-        headers["retry-after"] = str(max(1, math.ceil(error.retry_after_s)))
-    if error.http_status == 401:
-        headers["www-authenticate"] = "Bearer"
-    if error.http_status in (400, 408, 413):
-        headers["connection"] = "close"  # the end of this request's body is unknown, or still to come
-    return headers
 
 
 async def abort_grpc(context: "grpc.aio.ServicerContext[object, object]", error: ServiceError, request_id: str) -> None:

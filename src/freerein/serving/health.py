@@ -62,20 +62,5 @@ class Health:
 
     async def iterate_until_drain(self, items: AsyncIterator[T]) -> AsyncIterator[T]:
         """Yields from `items` until they end or the graceful shutdown begins."""
-        drain = asyncio.ensure_future(self._draining.wait())
-        upcoming: asyncio.Future[T] | None = None
-        try:
-            while not self.draining:
-                upcoming = asyncio.ensure_future(anext(items))
-                await asyncio.wait({upcoming, drain}, return_when=asyncio.FIRST_COMPLETED)
-                if not upcoming.done():
-                    return
-                try:
-                    item = upcoming.result()
-                except StopAsyncIteration:
-                    return
-                yield item
-        finally:
-            drain.cancel()
-            if upcoming is not None:
-                upcoming.cancel()
+        while not self.draining and (item := await self.await_or_drain(anext(items, None))) is not None:
+            yield item

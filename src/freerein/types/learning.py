@@ -40,21 +40,18 @@ class StartFitRequest:
 
 
 @dataclass(frozen=True)
-class StartFitResponse:
-    """The queued fit."""
-
-    fit: Fit
-
-
-class GetFitRequest(JobRequest):
-    """Requests one fit by its id."""
-
-
-@dataclass(frozen=True)
 class GetFitResponse:
     """One fit."""
 
     fit: Fit
+
+
+class StartFitResponse(GetFitResponse):
+    """The queued fit."""
+
+
+class GetFitRequest(JobRequest):
+    """Requests one fit by its id."""
 
 
 class ListFitsRequest(ListJobsRequest):
@@ -93,22 +90,16 @@ class CancelFitRequest(JobRequest):
     """Requests to cancel one fit by its id."""
 
 
-@dataclass(frozen=True)
-class CancelFitResponse:
+class CancelFitResponse(GetFitResponse):
     """The fit, cancelled or ended before."""
-
-    fit: Fit
 
 
 class ResumeFitRequest(JobRequest):
     """Requests to resume one fit by its id."""
 
 
-@dataclass(frozen=True)
-class ResumeFitResponse:
+class ResumeFitResponse(GetFitResponse):
     """The fit, queued again."""
-
-    fit: Fit
 
 
 class DeleteFitRequest(JobRequest):

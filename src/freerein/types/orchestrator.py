@@ -1,19 +1,17 @@
 """Requests and responses of the orchestrator."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from freerein.types.common import ModelRef
 from freerein.types.jobs import Job, JobMetrics, JobMetricsRequest, JobRequest, ListJobsRequest, WatchJobRequest
-
-RunKind = Literal["collect", "fit", "label", "ppo", "distill", "evaluate", "pipeline", "skills"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run(Job):
     """One run; `model` is published to a service, None until a run that makes one has succeeded."""
 
-    kind: RunKind
+    kind: str
     model: ModelRef | None = None
 
 
@@ -27,20 +25,9 @@ class StartRunRequest:
         idempotency_key: The same key and request returns the run already started; empty for none.
     """
 
-    kind: RunKind
+    kind: str
     config: dict[str, Any] = field(default_factory=dict)
     idempotency_key: str = ""
-
-
-@dataclass(frozen=True)
-class StartRunResponse:
-    """The queued run."""
-
-    run: Run
-
-
-class GetRunRequest(JobRequest):
-    """Requests one run by its id."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +35,14 @@ class GetRunResponse:
     """One run."""
 
     run: Run
+
+
+class StartRunResponse(GetRunResponse):
+    """The queued run."""
+
+
+class GetRunRequest(JobRequest):
+    """Requests one run by its id."""
 
 
 class ListRunsRequest(ListJobsRequest):
@@ -86,22 +81,16 @@ class CancelRunRequest(JobRequest):
     """Requests to cancel one run by its id."""
 
 
-@dataclass(frozen=True)
-class CancelRunResponse:
+class CancelRunResponse(GetRunResponse):
     """The run, cancelled or ended before."""
-
-    run: Run
 
 
 class ResumeRunRequest(JobRequest):
     """Requests to resume one run by its id."""
 
 
-@dataclass(frozen=True)
-class ResumeRunResponse:
+class ResumeRunResponse(GetRunResponse):
     """The run, queued again."""
-
-    run: Run
 
 
 class DeleteRunRequest(JobRequest):

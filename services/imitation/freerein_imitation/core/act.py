@@ -1,6 +1,7 @@
 """`ActService`: an observation and a goal in, actions and a goal-reached flag out. It is stateless between calls."""
 
 import time
+from dataclasses import dataclass
 
 from freerein.serving.model_cache import ModelCache
 from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
@@ -12,19 +13,19 @@ from freerein_imitation.model.policy import Policy
 Policies = ModelCache[Policy]
 
 
+@dataclass(frozen=True, eq=False)
 class ActService:
     """Answers `GetSpec` and `Act`.
 
-    Args:
+    Attributes:
         models: The policies.
         batcher: Runs `PolicyRunner.run_batch` on the model's thread.
         timeout_s: Longest wait of an observation for the model, in seconds.
     """
 
-    def __init__(self, models: Policies, batcher: PolicyBatcher, *, timeout_s: float) -> None:
-        self._models = models
-        self._batcher = batcher
-        self._timeout_s = timeout_s
+    models: Policies
+    batcher: PolicyBatcher
+    timeout_s: float
 
     async def get_spec(self, request: GetSpecRequest) -> GetSpecResponse:
         """Returns a model's spec.
@@ -33,7 +34,7 @@ class ActService:
             NotFound: There is no such model.
             FailedPrecondition: No model is active.
         """
-        model, policy = await self._models.resolve(request.model)
+        model, policy = await self.models.resolve(request.model)
         return spec_response(model, policy.spec)
 
     async def act(self, request: ActRequest) -> ActResponse:
@@ -45,11 +46,11 @@ class ActService:
             FailedPrecondition: No model is active, or the state is of another model or goal.
         """
         start_ns = time.perf_counter_ns()
-        model, policy = await self._models.resolve(request.model)
+        model, policy = await self.models.resolve(request.model)
         limit, resize = request.max_steps_per_goal, request.resize
         context = await ActContext.create(model, policy, request.goal, max_steps=limit, resize=resize)
         session = PolicySession(context, state=request.state)
         executed = request.executed_actions
         parsed = await session.parse(request.observation, executed, elapsed=elapsed_steps(executed))
-        done = await self._batcher.submit(parsed, key=model, timeout_s=self._timeout_s)
+        done = await self.batcher.submit(parsed, key=model, timeout_s=self.timeout_s)
         return ActResponse(**session.answer(done, arrived_ns=start_ns), state=session.state, model=model)

@@ -1,23 +1,10 @@
 """`ActContext`: the policy and the goals that the observations of a call, a stream or a WebSocket share."""
 
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from freerein.types.common import Goal, ModelRef, Observation
+from freerein.types.common import Goal, ModelRef
 from freerein.types.imitation import GetSpecResponse, Resize
-from freerein_imitation.core.inference import InferenceRequest
-from freerein_imitation.core.inputs import (
-    Subgoal,
-    goal_digest,
-    parse_frames,
-    parse_goal,
-    parse_previous_action,
-    parse_robot_state,
-)
-from freerein_imitation.core.policy_state import PolicyState, decode_state, encode_state
+from freerein_imitation.core.inputs import Subgoal, goal_digest, parse_goal
 from freerein_imitation.core.resizing import Resizer
 from freerein_imitation.model.policy import Policy, PolicySpec
 
@@ -56,58 +43,6 @@ class ActContext:
         goals = await parse_goal(policy.spec, goal, resizer)
         limits = tuple(max_steps or policy.spec.step_limit(each.content) for each in goals)
         return cls(model, policy, goals, goal_digest(goals), limits, resizer)
-
-    def decode_state(self, data: bytes) -> PolicyState:
-        """Returns the policy state in an API `state`; the initial one when empty.
-
-        Raises:
-            InvalidInput: The state is malformed.
-            FailedPrecondition: The state is of another model or goal.
-        """
-        size = self.policy.spec.recurrent_size
-        if not data:
-            return PolicyState(np.zeros(size, np.float32))
-        version = self.model.version
-        return decode_state(data, version=version, goal_digest=self.digest, goals=len(self.goals), size=size)
-
-    def encode_state(self, state: PolicyState) -> bytes:
-        """Returns a policy state as an API `state`."""
-        return encode_state(state, version=self.model.version, goal_digest=self.digest)
-
-    async def parse(
-        self,
-        observation: Observation,
-        executed: npt.NDArray[Any] | None,
-        state: PolicyState,
-        *,
-        elapsed: int,
-        resizer: Resizer | None = None,
-    ) -> InferenceRequest:
-        """Returns an observation as an inference request.
-
-        Args:
-            observation: The observation.
-            executed: Actions executed since the previous observation, (N, A), or None.
-            state: Policy state before the observation.
-            elapsed: Control steps since the observation of that state.
-            resizer: Makes the observation's images fit; None for images that must.
-
-        Raises:
-            InvalidInput: Observation or actions do not match the policy.
-            UnsupportedMedia: An image is not in the encoding that it names.
-        """
-        spec = self.policy.spec
-        return InferenceRequest(
-            policy=self.policy,
-            version=self.model.version,
-            goals=self.goals,
-            frames=await parse_frames(spec, observation, resizer or Resizer(None)),
-            previous=parse_previous_action(spec, executed),
-            state=state,
-            elapsed=elapsed,
-            max_steps=self.max_steps[min(state.goal_index, len(self.goals) - 1)],
-            robot_state=parse_robot_state(spec, observation),
-        )
 
 
 def spec_response(model: ModelRef, spec: PolicySpec) -> GetSpecResponse:

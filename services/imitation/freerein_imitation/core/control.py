@@ -4,7 +4,7 @@ import asyncio
 import math
 import time
 from collections.abc import AsyncIterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
 from freerein.serving.health import Health
@@ -22,21 +22,21 @@ _MOST_SHOWN = 16
 _LONGEST_SHOWN = 32
 
 
+@dataclass(frozen=True, eq=False)
 class ControlService:
     """Answers `Control`.
 
-    Args:
+    Attributes:
         models: The policies.
         batcher: Runs `PolicyRunner.run_batch` on the model's thread.
         health: Tells when the service drains.
         drain_s: Time to drain that streams are told, in seconds.
     """
 
-    def __init__(self, models: Policies, batcher: PolicyBatcher, *, health: Health, drain_s: float) -> None:
-        self._models = models
-        self._batcher = batcher
-        self._health = health
-        self._drain_s = drain_s
+    models: Policies
+    batcher: PolicyBatcher
+    health: Health
+    drain_s: float
 
     async def control(self, requests: Requests) -> AsyncIterator[ControlResponse]:
         """Yields the spec, then a chunk or an error for each observation that no newer one replaced.
@@ -63,8 +63,8 @@ class ControlService:
                     yield await session.act(entry, queue)
             if reading.done():
                 reading.result()  # raises a protocol violation, or a bug
-            if self._health.draining:
-                yield ControlResponse(draining=Draining(self._drain_s))
+            if self.health.draining:
+                yield ControlResponse(draining=Draining(self.drain_s))
         finally:
             reading.cancel()
             draining.cancel()
@@ -72,15 +72,15 @@ class ControlService:
             del reading  # its error holds this frame
 
     async def _open(self, hello: Hello) -> "_ControlSession":
-        model, policy = await self._models.resolve(hello.model)
+        model, policy = await self.models.resolve(hello.model)
         spec = spec_response(model, policy.spec)
         _check_agreement(spec, hello)
         limit, resize = hello.max_steps_per_goal, hello.resize
         context = await ActContext.create(model, policy, hello.goal, max_steps=limit, resize=resize)
-        return _ControlSession(spec, context, hello, self._batcher)
+        return _ControlSession(spec, context, hello, self.batcher)
 
     async def _close_when_draining(self, queue: ControlQueue) -> None:
-        await self._health.wait_for_drain()
+        await self.health.wait_for_drain()
         queue.close()
 
 

@@ -3,12 +3,15 @@
 import time
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from freerein.serving.batcher import Batcher, BatchResult
 from freerein.types.common import Observation, Timing
 from freerein_imitation.core.act_context import ActContext
 from freerein_imitation.core.inference import InferenceRequest, InferenceResult
+from freerein_imitation.core.inputs import parse_frames, parse_previous_action, parse_robot_state
+from freerein_imitation.core.policy_state import PolicyState, decode_state, encode_state
 from freerein_imitation.core.resizing import Resizer
 
 PolicyBatcher = Batcher[InferenceRequest, InferenceResult]
@@ -28,7 +31,12 @@ class PolicySession:
 
     def __init__(self, context: ActContext, *, state: bytes = b"") -> None:
         self._context = context
-        self._state = context.decode_state(state)
+        version, size = context.model.version, context.policy.spec.recurrent_size
+        self._state = (
+            decode_state(state, version=version, goal_digest=context.digest, goals=len(context.goals), size=size)
+            if state
+            else PolicyState(np.zeros(size, np.float32))
+        )
         self._has_state = bool(state)
         self._resized = False
         self._elapsed = 0  # control steps since the observation of the state
@@ -36,7 +44,7 @@ class PolicySession:
     @property
     def state(self) -> bytes:
         """The policy state as an API `state`."""
-        return self._context.encode_state(self._state)
+        return encode_state(self._state, version=self._context.model.version, goal_digest=self._context.digest)
 
     async def parse(
         self, observation: Observation, executed: npt.NDArray[Any] | None, *, elapsed: int
@@ -55,10 +63,20 @@ class PolicySession:
             UnsupportedMedia: An image is not in the encoding that it names.
         """
         self._elapsed += elapsed
-        counted = self._elapsed if self._has_state else 0
-        resizer = Resizer(self._context.resizer.mode)
-        request = await self._context.parse(observation, executed, self._state, elapsed=counted, resizer=resizer)
-        self._resized = self._context.resizer.has_resized or resizer.has_resized
+        context, state, spec = self._context, self._state, self._context.policy.spec
+        resizer = Resizer(context.resizer.mode)
+        request = InferenceRequest(
+            policy=context.policy,
+            version=context.model.version,
+            goals=context.goals,
+            frames=await parse_frames(spec, observation, resizer),
+            previous=parse_previous_action(spec, executed),
+            state=state,
+            elapsed=self._elapsed if self._has_state else 0,
+            max_steps=context.max_steps[min(state.goal_index, len(context.goals) - 1)],
+            robot_state=parse_robot_state(spec, observation),
+        )
+        self._resized = context.resizer.has_resized or resizer.has_resized
         return request
 
     def answer(

@@ -51,19 +51,19 @@ class OpenpiQuery:
     resize: Resize | None = None
 
 
+@dataclass(frozen=True, eq=False)
 class OpenpiService:
     """Opens connections.
 
-    Args:
+    Attributes:
         models: The policies.
         batcher: Runs `PolicyRunner.run_batch` on the model's thread.
         timeout_s: Longest wait of an observation for the model, in seconds.
     """
 
-    def __init__(self, models: Policies, batcher: PolicyBatcher, *, timeout_s: float) -> None:
-        self._models = models
-        self._batcher = batcher
-        self._timeout_s = timeout_s
+    models: Policies
+    batcher: PolicyBatcher
+    timeout_s: float
 
     async def open(self, query: Sequence[tuple[str, str]]) -> "OpenpiConnection":
         """Returns a connection as the query of its URL asks for.
@@ -74,8 +74,8 @@ class OpenpiService:
             FailedPrecondition: No model is active.
         """
         asked = parse_query(query)
-        model, policy = await self._models.resolve(asked.model)
-        connection = OpenpiConnection(model, policy, asked, self._batcher, timeout_s=self._timeout_s)
+        model, policy = await self.models.resolve(asked.model)
+        connection = OpenpiConnection(model, policy, asked, self.batcher, timeout_s=self.timeout_s)
         if asked.goal is not None:
             await connection.pursue(asked.goal)
         return connection

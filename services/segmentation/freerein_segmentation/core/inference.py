@@ -1,7 +1,6 @@
 """What the batcher runs on the model's thread: whole trajectories, parts of them, and steps of streams."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -56,86 +55,43 @@ class SkillModel(Protocol):
         """Returns a stream of predictions; FailedPrecondition when `lag` is None."""
 
 
-class Work(Protocol):
-    """One item of the batcher, run on the model's thread."""
-
-    def run(self) -> Any:
-        """Returns its output; a `ServiceError` when it alone fails."""
-
-
-@dataclass(frozen=True, eq=False)
-class WholeTrajectory:
-    """The prediction for a trajectory."""
-
-    model: SkillModel
-    frames: Pixels
-    actions: Actions
-
-    def run(self) -> Prediction | ServiceError:
-        """Returns the prediction of all timesteps."""
-        prediction = self.model.predict(self.frames, self.actions)
-        _check_shapes(prediction, len(self.frames), len(self.model.skills))
-        return _overflow(prediction) or prediction
-
-
-@dataclass(frozen=True, eq=False)
-class Encoding:
-    """Some timesteps of a trajectory that is not in memory as a whole."""
-
-    model: SkillModel
-    frames: Pixels
-    actions: Actions
-
-    def run(self) -> Any:
-        """Returns them encoded."""
-        return self.model.encode(self.frames, self.actions)
-
-
-@dataclass(frozen=True, eq=False)
-class EncodedTrajectory:
-    """The prediction for a trajectory in encoded parts."""
-
-    model: SkillModel
-    parts: Sequence[Any]
-
-    def run(self) -> Prediction | ServiceError:
-        """Returns the prediction of all timesteps."""
-        prediction = self.model.predict_encoded(self.parts)
-        return _overflow(prediction) or prediction
-
-
-@dataclass(frozen=True, eq=False)
-class StreamStep:
-    """The next timesteps of a stream. It changes the stream, so its batch holds nothing that could run it again."""
-
-    stream: PredictionStream
-    frames: Pixels
-    actions: Actions
-
-    def run(self) -> tuple[Prediction, Prediction] | ServiceError:
-        """Returns the final prediction of some timesteps, and the provisional one of those after them."""
-        final, provisional = self.stream.push(self.frames, self.actions), self.stream.finish()
-        return _overflow(final, provisional) or (final, provisional)
-
-
-@dataclass(frozen=True, eq=False)
-class StreamEnd:
-    """The end of a stream."""
-
-    stream: PredictionStream
-
-    def run(self) -> Prediction | ServiceError:
-        """Returns the prediction of the timesteps that are left."""
-        rest = self.stream.finish()
-        return _overflow(rest) or rest
-
+Work: TypeAlias = Callable[[], Any]
+"""One item of the batcher: returns its output, or a `ServiceError` where it alone fails."""
 
 SegmentationBatcher: TypeAlias = Batcher[Work, Any]
 
 
 def run_batch(items: Sequence[Work]) -> list[Any]:
     """Returns the output of each item, or its error."""
-    return [item.run() for item in items]
+    return [item() for item in items]
+
+
+def predict(model: SkillModel, frames: Pixels, actions: Actions) -> Prediction | ServiceError:
+    """Returns the prediction for a trajectory."""
+    prediction = model.predict(frames, actions)
+    _check_shapes(prediction, len(frames), len(model.skills))
+    return _overflow(prediction) or prediction
+
+
+def predict_encoded(model: SkillModel, parts: Sequence[Any]) -> Prediction | ServiceError:
+    """Returns the prediction for a trajectory in encoded parts."""
+    prediction = model.predict_encoded(parts)
+    return _overflow(prediction) or prediction
+
+
+def push(stream: PredictionStream, frames: Pixels, actions: Actions) -> tuple[Prediction, Prediction] | ServiceError:
+    """Returns the final prediction of some timesteps of a stream, and the provisional one of those after them.
+
+    It changes the stream, so its batch must hold nothing that could run it again.
+    """
+    final, provisional = stream.push(frames, actions), stream.finish()
+    return _overflow(final, provisional) or (final, provisional)
+
+
+def finish(stream: PredictionStream) -> Prediction | ServiceError:
+    """Returns the prediction of the timesteps that are left at the end of a stream."""
+    rest = stream.finish()
+    return _overflow(rest) or rest
 
 
 def _check_shapes(prediction: Prediction, timesteps: int, skills: int) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeAlias
 
 from freerein.errors import DeadlineExceeded, FailedPrecondition, InvalidInput, Overloaded, ServiceError
@@ -18,7 +19,7 @@ from freerein.types.segmentation import (
     StreamLabels,
 )
 from freerein_segmentation.core.decoding import Labels
-from freerein_segmentation.core.inference import SegmentationBatcher, SkillModel, StreamEnd, StreamStep
+from freerein_segmentation.core.inference import SegmentationBatcher, SkillModel, finish, push
 from freerein_segmentation.core.inputs import check_options, read_timesteps
 from freerein_segmentation.core.segmenter import describe
 from freerein_segmentation.core.stream_decoding import Finished, StreamDecoder
@@ -130,7 +131,7 @@ class _Session:
             frames, actions = await timer.decode(read_timesteps(self._model, request.timesteps))
         except ServiceError as refused:
             return _error(seq, refused)
-        step = StreamStep(self._predictions, frames, actions)
+        step = partial(push, self._predictions, frames, actions)
         try:
             done = await self._batcher.submit(step, key=self, timeout_s=self._timeout_s)
         except (Overloaded, DeadlineExceeded) as refused:  # before the model has seen it
@@ -142,7 +143,7 @@ class _Session:
     async def end(self) -> SegmentStreamResponse:
         """Returns all labels that are left."""
         timer = CallTimer()
-        done = await self._batcher.submit(StreamEnd(self._predictions), key=self, timeout_s=self._timeout_s)
+        done = await self._batcher.submit(partial(finish, self._predictions), key=self, timeout_s=self._timeout_s)
         finished = self._decoder.finish(timer.output(done))
         return SegmentStreamResponse(labels=_labels(finished, finished.timeline.labels[:0], timer))
 

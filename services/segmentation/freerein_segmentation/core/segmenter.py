@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Awaitable
 from contextlib import aclosing
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,14 +17,7 @@ from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
 from freerein_segmentation.core import decoding
-from freerein_segmentation.core.inference import (
-    EncodedTrajectory,
-    Encoding,
-    SegmentationBatcher,
-    SkillModel,
-    WholeTrajectory,
-    Work,
-)
+from freerein_segmentation.core.inference import SegmentationBatcher, SkillModel, Work, predict, predict_encoded
 from freerein_segmentation.core.inputs import (
     check_length,
     check_one_form,
@@ -81,7 +75,7 @@ class Segmenter:
             prediction, time_s = await self._predict_video(ref, model, replace(request, fps=fps), timer)
         else:
             frames, actions = await timer.decode(read_timesteps(model, request))
-            prediction = timer.output(await self._submit(WholeTrajectory(model, frames, actions), ref))
+            prediction = timer.output(await self._submit(partial(predict, model, frames, actions), ref))
         labels, confidence, segments = await asyncio.to_thread(
             decoding.decode,
             prediction.probabilities,
@@ -111,11 +105,11 @@ class Segmenter:
                 did = None if actions is None else actions[at]
                 if did is not None and len(did) < len(chunk.frames):
                     break
-                parts.append(timer.output(await self._submit(Encoding(model, chunk.frames, did), ref)))
+                parts.append(timer.output(await self._submit(partial(model.encode, chunk.frames, did), ref)))
                 times.append(chunk.time_s)
         if actions is not None and len(actions) != count:
             raise _unequal(len(actions), count, request.fps)
-        return timer.output(await self._submit(EncodedTrajectory(model, parts), ref)), np.concatenate(times)
+        return timer.output(await self._submit(partial(predict_encoded, model, parts), ref)), np.concatenate(times)
 
     def _submit(self, work: Work, ref: ModelRef) -> Awaitable[BatchResult[Any]]:
         return self.batcher.submit(work, key=ref, timeout_s=self.timeout_s)

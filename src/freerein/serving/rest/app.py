@@ -16,9 +16,9 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import Receive, Scope, Send
 
 from freerein import wire
-from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, ServiceError
+from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput
 from freerein.serving.call_recorder import OTHER, CallRecorder, machine_errors
-from freerein.serving.error_replies import problem_document, problem_headers
+from freerein.serving.error_replies import MethodNotAllowed
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits, Slots
 from freerein.serving.memory import Memory, encode
@@ -27,7 +27,7 @@ from freerein.serving.metrics import Metrics
 from freerein.serving.rest import body, pictures, tensor_lists
 from freerein.serving.rest.docs_page import docs_routes
 from freerein.serving.rest.field_names import unknown_path
-from freerein.serving.rest.middleware import REQUEST_ID, SHARE, RequestMiddleware
+from freerein.serving.rest.middleware import SHARE, RequestMiddleware
 from freerein.serving.rest.openapi import MEDIA_TYPES, api_title, openapi_document
 from freerein.serving.rest.origin_policy import OriginPolicy
 from freerein.serving.rest.reply_parts import PartsResponse, json_parts
@@ -77,7 +77,7 @@ def make_app(
             open_websocket, health=health, metrics=metrics, limits=limits, token=token, origin_policy=origin_policy
         )
         routes += [WebSocketRoute(PATH, endpoint.serve), WebSocketRoute("/{elsewhere:path}", endpoint.refuse_path)]
-    app = Starlette(routes=routes, exception_handlers={HTTPException: _answer_http_exception})
+    app = Starlette(routes=routes, exception_handlers={HTTPException: _raise_error})
     app.router.redirect_slashes = False
     app.state.paths = [route.path for route in routes if isinstance(route, Route)]
     recorders = {
@@ -292,22 +292,11 @@ def _health_and_metrics_routes(health: Health, metrics: Metrics) -> list[BaseRou
     ]
 
 
-def _respond(request: Request, error: ServiceError) -> Response:
-    request_id = request.scope.get(REQUEST_ID, "")
-    request.scope["freerein.code"] = error.code
-    return Response(problem_document(error, request_id), error.http_status, problem_headers(error, request_id))
-
-
-async def _answer_http_exception(request: Request, error: Exception) -> Response:
+async def _raise_error(request: Request, error: Exception) -> Response:
+    """Raises Starlette's error as ours."""
     http_error = cast(HTTPException, error)
     if http_error.status_code == 405:
-        response = _respond(request, _MethodNotAllowed("The path has another method.", hint="See /openapi.json."))
-        response.headers.update(http_error.headers or {})
-        return response
+        raise MethodNotAllowed((http_error.headers or {}).get("Allow", ""))
     if http_error.status_code == 404:
-        return _respond(request, unknown_path(request.scope["path"], request.app.state.paths))
-    return _respond(request, InvalidInput("The request could not be read.", hint="See /openapi.json."))
-
-
-class _MethodNotAllowed(ServiceError):
-    code, http_status, grpc_status = "method_not_allowed", 405, "UNIMPLEMENTED"
+        raise unknown_path(request.scope["path"], request.app.state.paths)
+    raise InvalidInput("The request could not be read.", hint="See /openapi.json.")

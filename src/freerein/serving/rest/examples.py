@@ -41,14 +41,18 @@ _SHIPPED = {
 }
 _FIT: dict[str, dict[str, Any]] = {"reward": {"phrases": ["a red block", "a blue block"]}}
 _PHRASES, _GOAL_TEXT = ("a red block", "a blue block"), "put the red block to the left of the blue block"
+_NAMED = {"id": JOB, "session": ID}
+"""Examples of requests that name a job or a simulation, and need no more."""
 _EMPTY: tuple[object, ...] = ("", 0, [], {}, None)
 
 
 @cache
 def example_of(method: Method, service: str) -> Mapping[str, Any]:
     """Returns the JSON body of an example request of an RPC, without fields that have their defaults."""
-    make = _REQUESTS.get(method.request)
-    return cast(Mapping[str, Any], _without_defaults(reply_json(make(service)))) if make else {}
+    first = next(iter(method.descriptor.input_type.fields), None)
+    if method.request in _REQUESTS:
+        return cast(Mapping[str, Any], _without_defaults(reply_json(_REQUESTS[method.request](service))))
+    return {first.name: _NAMED[first.name]} if first is not None and first.name in _NAMED else {}
 
 
 def example_parts(method: Method, service: str) -> list[tuple[str, str | bytes]]:
@@ -107,12 +111,6 @@ _REQUESTS: Mapping[type, Callable[[str], object]] = {
     learning.StartFitRequest: lambda service: learning.StartFitRequest(
         _DATASET, _KEY, {"steps": 100, **_FIT.get(service, {})}, _KEY
     ),
-    learning.GetFitRequest: lambda _: learning.GetFitRequest(JOB),
-    learning.GetFitMetricsRequest: lambda _: learning.GetFitMetricsRequest(JOB),
-    learning.WatchFitRequest: lambda _: learning.WatchFitRequest(JOB),
-    learning.CancelFitRequest: lambda _: learning.CancelFitRequest(JOB),
-    learning.ResumeFitRequest: lambda _: learning.ResumeFitRequest(JOB),
-    learning.DeleteFitRequest: lambda _: learning.DeleteFitRequest(JOB),
     learning.ActivateModelRequest: lambda service: learning.ActivateModelRequest(
         **vars(_SHIPPED.get(service, ModelRef("default")))
     ),
@@ -120,13 +118,6 @@ _REQUESTS: Mapping[type, Callable[[str], object]] = {
     orchestrator.StartRunRequest: lambda _: orchestrator.StartRunRequest(
         "collect", {"task": "grid", "count": 10, "dataset": _DATASET}, _KEY
     ),
-    orchestrator.GetRunRequest: lambda _: orchestrator.GetRunRequest(JOB),
-    orchestrator.WatchRunRequest: lambda _: orchestrator.WatchRunRequest(JOB),
-    orchestrator.GetMetricsRequest: lambda _: orchestrator.GetMetricsRequest(JOB),
-    orchestrator.CancelRunRequest: lambda _: orchestrator.CancelRunRequest(JOB),
-    orchestrator.ResumeRunRequest: lambda _: orchestrator.ResumeRunRequest(JOB),
-    orchestrator.DeleteRunRequest: lambda _: orchestrator.DeleteRunRequest(JOB),
-    orchestrator.ListArtifactsRequest: lambda _: orchestrator.ListArtifactsRequest(JOB),
     orchestrator.GetArtifactRequest: lambda _: orchestrator.GetArtifactRequest(JOB, "dataset.json"),
     reward.RewardRequest: lambda _: reward.RewardRequest(_GOAL_TEXT, images=(_scene(),)),
     reward.GroundRequest: lambda _: reward.GroundRequest(_scene(), (*_PHRASES, "a dog")),
@@ -139,11 +130,7 @@ _REQUESTS: Mapping[type, Callable[[str], object]] = {
     sim.CreateSessionRequest: lambda _: sim.CreateSessionRequest("grid", 2, seed=7, privileged=True),
     sim.ResetRequest: lambda _: sim.ResetRequest(ID, seed=7),
     sim.StepRequest: lambda _: sim.StepRequest(ID, 1, np.array([[1], [2]])),
-    sim.RenderRequest: lambda _: sim.RenderRequest(ID),
-    sim.SnapshotRequest: lambda _: sim.SnapshotRequest(ID),
     sim.RestoreRequest: lambda _: sim.RestoreRequest(ID, b"what Snapshot returned"),
     sim.DrawRecipesRequest: lambda _: sim.DrawRecipesRequest("grid", count=3, seed=7),
     sim.CheckRequest: lambda _: sim.CheckRequest(ID, "completed/pick-red", np.zeros((1, 2, 12))),
-    sim.ExpertActionsRequest: lambda _: sim.ExpertActionsRequest(ID),
-    sim.CloseSessionRequest: lambda _: sim.CloseSessionRequest(ID),
 }

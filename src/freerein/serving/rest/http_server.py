@@ -12,7 +12,7 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from freerein.errors import MalformedRequest, ServiceError
-from freerein.serving.error_replies import problem_document, problem_headers
+from freerein.serving.error_replies import problem_response
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits
 from freerein.serving.memory import Memory
@@ -187,10 +187,9 @@ def _bad_request() -> bytes:
 
 def _problem(error: ServiceError, request_id: str) -> bytes:
     """Returns an error as a whole HTTP reply."""
-    body = problem_document(error, request_id)
-    headers = {**problem_headers(error, request_id), "content-length": len(body)}
-    lines = [f"HTTP/1.1 {error.http_status} ", *(f"{key}: {value}" for key, value in headers.items()), "", ""]
-    return "\r\n".join(lines).encode() + body
+    response = problem_response(error, request_id)
+    lines = [b"HTTP/1.1 %d " % error.http_status, *(b"%s: %s" % each for each in response.raw_headers), b"", b""]
+    return b"\r\n".join(lines) + response.body
 
 
 class HttpServer(uvicorn.Server):

@@ -17,7 +17,7 @@ from freerein.errors import (
 )
 from freerein.serving import auth
 from freerein.serving.call_recorder import CallRecorder
-from freerein.serving.error_replies import problem_document, problem_headers
+from freerein.serving.error_replies import problem_response
 from freerein.serving.limits import COPIES, Limits
 from freerein.serving.memory import Memory, Share
 from freerein.serving.rest import docs_page
@@ -72,9 +72,11 @@ class RequestMiddleware:
                 self._check_headers(scope, headers)
                 scope[SHARE] = share
                 await self._app(scope, self._bounded(receive, scope, share), reply)
-                call.code = scope.get("freerein.code", call.code if reply.is_complete else Cancelled.code)
+                if not reply.is_complete:
+                    call.code = Cancelled.code
         except ServiceError as error:
-            await reply.problem(error)
+            if not reply.has_begun:
+                await problem_response(error, request_id)(scope, receive, reply)
 
     def _check_headers(self, scope: Scope, headers: Headers) -> None:
         size = len(scope["path"]) + len(scope["query_string"]) + sum(len(k) + len(v) for k, v in headers.raw)
@@ -132,33 +134,26 @@ class RequestMiddleware:
 
 
 class _Reply:
-    """Wraps `send`: adds the request id header, and sends at most one response.
+    """Wraps `send`, and adds the request id header.
 
     Attributes:
+        has_begun: Whether the head of a response has been sent.
         is_complete: Whether the response has been sent to its end; else the client has left before.
     """
 
     def __init__(self, send: Send, request_id: str) -> None:
         self._send = send
         self._request_id = request_id
-        self._has_begun = False
+        self.has_begun = False
         self.is_complete = False
 
     async def __call__(self, message: Message) -> None:
         if message["type"] == "http.response.start":
-            self._has_begun = True
+            self.has_begun = True
             if b"x-request-id" not in dict(message["headers"]):
                 message["headers"] = [*message["headers"], (b"x-request-id", self._request_id.encode())]
         await self._send(message)
         self.is_complete = message["type"] == "http.response.body" and not message.get("more_body", False)
-
-    async def problem(self, error: ServiceError) -> None:
-        """Sends an error, unless the response has begun already."""
-        if self._has_begun:
-            return
-        headers = [(k.encode(), v.encode()) for k, v in problem_headers(error, self._request_id).items()]
-        await self({"type": "http.response.start", "status": error.http_status, "headers": headers})
-        await self({"type": "http.response.body", "body": problem_document(error, self._request_id)})
 
 
 def late_request(within_s: float) -> RequestTimeout:

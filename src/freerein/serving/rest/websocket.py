@@ -9,13 +9,12 @@ import uuid
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Protocol
 
-from starlette.responses import Response
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from freerein.errors import Cancelled, DeadlineExceeded, MalformedRequest, NotFound, ServiceError
 from freerein.serving import auth
 from freerein.serving.call_recorder import CallRecorder
-from freerein.serving.error_replies import close_reason, error_line, problem_document, problem_headers
+from freerein.serving.error_replies import close_reason, error_line, problem_response
 from freerein.serving.health import Health
 from freerein.serving.limits import Limits, Slots
 from freerein.serving.metrics import Metrics
@@ -152,8 +151,7 @@ async def _refuse(socket: WebSocket, error: ServiceError, request_id: str) -> No
     """Ends a connection with an error: a problem document instead of it, or a close frame."""
     try:
         if socket.application_state is WebSocketState.CONNECTING:
-            headers = problem_headers(error, request_id)
-            await socket.send_denial_response(Response(problem_document(error, request_id), error.http_status, headers))
+            await socket.send_denial_response(problem_response(error, request_id))
         else:
             await socket.close(_CLOSE_CODES.get(error.code, _VIOLATION), close_reason(error))
     except (WebSocketDisconnect, ServiceError):  # the client is gone, or was told already
