@@ -21,7 +21,6 @@ import numpy.typing as npt
 import PIL.Image
 import pytest
 import pytest_asyncio
-import schemathesis
 from google.protobuf.descriptor import Descriptor
 from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
 
@@ -345,6 +344,8 @@ async def test_reflection_lists_what_the_grpc_server_serves(transports: Any) -> 
 async def test_the_openapi_document_is_valid_and_has_the_fields_of_the_proto(
     transports: Any,
 ) -> None:
+    import schemathesis
+
     document = transports.document
     schemathesis.openapi.from_dict(document).validate()
     schemas = document["components"]["schemas"]

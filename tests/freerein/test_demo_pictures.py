@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgba
 
 from freerein.cli.demo.evaluations import Evaluation, filmstrip_failure
 from freerein.cli.demo.pictures import (
@@ -75,6 +74,8 @@ def test_similarities_of_all_images_have_one_scale_which_the_last_one_names() ->
 
 
 def test_the_robot_of_least_success_is_shown_below_that_of_median_success() -> None:
+    from matplotlib.colors import to_rgba
+
     reached, missed = (FilmstripGoal(pixels(64, 64), pixels(64, 64), 9, 0.5, each) for each in (True, False))
     figure = drawn(filmstrip_figure([reached] * 4, [reached, missed]))
     above, below = figure.axes[:8], figure.axes[8:]
