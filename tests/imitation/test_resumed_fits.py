@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ from freerein.learning.fit_dataset import FitDataset
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_imitation.methods import METHODS
 
-CUT = 7
 TINY = {
     "hidden_size": 8,
     "batch_size": 2,
@@ -46,23 +46,37 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> FitDataset:
     return FitDataset.open(data_dir, "noise")
 
 
-@pytest.mark.parametrize("method", ["goal_conditioned", "goal_cloning", "inverse_model", "skills", "skill_cloning"])
-def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(method: str, source: FitDataset, tmp_path: Path) -> None:
+STAGES = {"forward_consistency_weight": 0.1, "forward_pretraining_steps": 3, "policy_pretraining_steps": 4}
+
+
+@pytest.mark.parametrize(
+    ("method", "change", "cuts"),
+    [
+        ("goal_conditioned", SMALL_EYE | STAGES, [1, 5, 9]),  # in each stage
+        ("goal_cloning", SMALL_EYE, [7]),
+        ("inverse_model", SMALL_EYE, [7]),
+        ("skills", {"steps": 30, "evaluate_every": 10}, [1, 2, 7]),  # in each stage
+        ("skill_cloning", SMALL_EYE, [7]),
+    ],
+    ids=["goal_conditioned", "goal_cloning", "inverse_model", "skills", "skill_cloning"],
+)
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(
+    method: str, change: dict[str, Any], cuts: list[int], source: FitDataset, tmp_path: Path
+) -> None:
     def run(folder: Path, stop: Callable[[], bool] = lambda: False) -> str:
         """Fits with a learner of its own; returns the sha256 of the best weights, calibrated."""
         chosen = METHODS.by_name[method]
-        config = parse(chosen.config, {**TINY, **({} if method == "skills" else SMALL_EYE), "cameras": ("front",)})
+        config = parse(chosen.config, {**TINY, **change, "cameras": ("front",)})
         learner = chosen.prepare(source, config, torch.device("cpu"))
         fitted = fit(learner, folder, stop=stop)
         if fitted is None:
             return ""
         learner.calibrate(fitted.network)
         assert fitted.network.in_distribution.distances.any()
-        return weights.sha256(fitted.network)
+        return weights.sha256(fitted.network) + (folder / "metrics.jsonl").read_text()
 
-    asked = iter(range(CUT + 1))
     whole = run(tmp_path / "whole")
-    assert run(tmp_path / "parts", stop=lambda: next(asked) == CUT) == ""
-    assert run(tmp_path / "parts") == whole
-    rows = [(tmp_path / name / "metrics.jsonl").read_text() for name in ("whole", "parts")]
-    assert rows[0] == rows[1]
+    for cut in cuts:
+        asked = iter(range(cut + 1))
+        assert run(tmp_path / f"cut-{cut}", stop=lambda asked=asked, cut=cut: next(asked) == cut) == ""  # type: ignore[misc]
+        assert run(tmp_path / f"cut-{cut}") == whole

@@ -1,6 +1,5 @@
 """The goal-conditioned skill policy of chapter 3, for goal images."""
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +8,13 @@ import torch
 from freerein.learning import model_files
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
 from freerein_imitation.methods import goal_images
 from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.model.goal_images import GoalImagesPolicy
 from freerein_imitation.model.policy import ControlSpec
-from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, network_spec, policy_losses
-from freerein_imitation.training.goal_images import GoalImagesLearner
+from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, GoalConditionedLearner
 
 
 def _resolve(source: FitDataset, config: GoalConditionedConfig) -> GoalConditionedConfig:
@@ -23,22 +22,12 @@ def _resolve(source: FitDataset, config: GoalConditionedConfig) -> GoalCondition
     return config
 
 
-def _prepare(
-    source: FitDataset, config: GoalConditionedConfig, device: torch.device
-) -> GoalImagesLearner[GoalConditionedNetwork]:
-    return goal_images.prepare(
-        source,
-        config,
-        device,
-        make_network=partial(GoalConditionedNetwork, _spec(source, config)),
-        policy_losses=partial(policy_losses, consistency_weight=config.forward_consistency_weight),
-    )
+def _prepare(source: FitDataset, config: GoalConditionedConfig, device: torch.device) -> GoalConditionedLearner:
+    return goal_images.prepare(source, config, _spec(source, config), device, GoalConditionedLearner)
 
 
 def _card(
-    source: FitDataset,
-    learner: GoalImagesLearner[GoalConditionedNetwork],
-    fitted: FitResult[GoalConditionedNetwork],
+    source: FitDataset, learner: GoalConditionedLearner, fitted: FitResult[GoalConditionedNetwork]
 ) -> dict[str, Any]:
     return goal_images.card(source, learner, fitted, max_steps_per_goal=2 * learner.config.max_goal_steps)
 
@@ -49,7 +38,9 @@ def _load(folder: Path, device: str) -> GoalImagesPolicy:
 
 
 def _spec(source: FitDataset, config: GoalConditionedConfig) -> GoalConditionedSpec:
-    return network_spec(config, cameras=source.cameras(config.cameras), action=source.dataset.spec.action)
+    cameras, action = source.cameras(config.cameras), source.dataset.spec.action
+    has_forward_model = config.forward_consistency_weight > 0
+    return spec_of(config, GoalConditionedSpec, cameras=cameras, action=action, forward_model=has_forward_model)
 
 
 METHOD = Method(GoalConditionedConfig, _resolve, _prepare, _card, _load)

@@ -1,33 +1,23 @@
 """What the methods for goal images share: the learner's preparation, and the card."""
 
-from collections.abc import Callable
 from typing import Any, TypeVar
 
 import torch
 
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
-from freerein_imitation.model.goal_images import GoalImagesNetwork
+from freerein_imitation.model.goal_images import GoalImagesNetwork, GoalImagesSpec
 from freerein_imitation.model.policy import ControlSpec
-from freerein_imitation.training.goal_images import (
-    GoalImagesConfig,
-    GoalImagesLearner,
-    PolicyLosses,
-    reached_threshold,
-)
+from freerein_imitation.training.goal_images import GoalImagesConfig, GoalImagesLearner, reached_threshold
 
 N = TypeVar("N", bound=GoalImagesNetwork)
+L = TypeVar("L", bound=GoalImagesLearner[Any])
 
 
 def prepare(
-    source: FitDataset,
-    config: GoalImagesConfig,
-    device: torch.device,
-    *,
-    make_network: Callable[[], N],
-    policy_losses: PolicyLosses[N],
-) -> GoalImagesLearner[N]:
-    """Returns the learner of a network, which `make_network` makes, on the trajectories of a dataset.
+    source: FitDataset, config: GoalImagesConfig, spec: GoalImagesSpec, device: torch.device, learner: type[L]
+) -> L:
+    """Returns a learner of a network with a spec on the trajectories of a dataset.
 
     Raises:
         InvalidInput: Fewer than 2 trajectories are long enough.
@@ -35,8 +25,7 @@ def prepare(
     training, validation = source.trajectories(config.cameras).split(
         fraction=config.validation_fraction, seed=config.seed, min_length=config.min_goal_steps + 1
     )
-    fingerprint = source.dataset.fingerprint
-    return GoalImagesLearner(config, make_network, policy_losses, training, validation, fingerprint, device)
+    return learner(config, spec, training, validation, source.dataset.fingerprint, device)
 
 
 def card(

@@ -5,7 +5,6 @@ place of x_{t+1}. It has no recurrence, no previous action and no forward consis
 """
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -74,13 +73,21 @@ class InverseModel(nn.Module):
         return self(features, goal)[:, None], recurrent
 
 
-def _losses(network: InverseModelNetwork, slices: RelabelledSlices) -> tuple[Tensor, Tensor]:
-    features = network.policy.encoder(slices.frames)  # (N, D)
-    at = slices.timesteps  # (S, L)
-    logits = network.policy(features[at], features[slices.goals][:, None].expand(-1, at.shape[1], -1))
-    executed = action_bins.encode(slices.actions[at], choices=network.spec.action.choices)  # (S, L, A, categories)
-    action = objectives.masked_mean(objectives.action_cross_entropy(logits, executed), slices.mask)
-    return action, action.new_zeros(())
+class InverseModelLearner(GoalImagesLearner[InverseModelNetwork]):
+    """The learner of the inverse model and of the goal recognizer."""
+
+    def network(self) -> InverseModelNetwork:
+        """Returns an untrained network."""
+        return InverseModelNetwork(self.spec)
+
+    def policy_losses(self, network: InverseModelNetwork, slices: RelabelledSlices) -> tuple[Tensor, Tensor]:
+        """Returns the action loss, eq. 3.2, and 0."""
+        features = network.policy.encoder(slices.frames)  # (N, D)
+        at = slices.timesteps  # (S, L)
+        logits = network.policy(features[at], features[slices.goals][:, None].expand(-1, at.shape[1], -1))
+        executed = action_bins.encode(slices.actions[at], choices=self.spec.action.choices)  # (S, L, A, categories)
+        action = objectives.masked_mean(objectives.action_cross_entropy(logits, executed), slices.mask)
+        return action, action.new_zeros(())
 
 
 def _resolve(source: FitDataset, config: InverseModelConfig) -> InverseModelConfig:
@@ -88,16 +95,11 @@ def _resolve(source: FitDataset, config: InverseModelConfig) -> InverseModelConf
     return config
 
 
-def _prepare(
-    source: FitDataset, config: InverseModelConfig, device: torch.device
-) -> GoalImagesLearner[InverseModelNetwork]:
-    make_network = partial(InverseModelNetwork, _spec(source, config))
-    return goal_images.prepare(source, config, device, make_network=make_network, policy_losses=_losses)
+def _prepare(source: FitDataset, config: InverseModelConfig, device: torch.device) -> InverseModelLearner:
+    return goal_images.prepare(source, config, _spec(source, config), device, InverseModelLearner)
 
 
-def _card(
-    source: FitDataset, learner: GoalImagesLearner[InverseModelNetwork], fitted: FitResult[InverseModelNetwork]
-) -> dict[str, Any]:
+def _card(source: FitDataset, learner: InverseModelLearner, fitted: FitResult[InverseModelNetwork]) -> dict[str, Any]:
     return goal_images.card(source, learner, fitted, max_steps_per_goal=2 * learner.config.far_steps)
 
 

@@ -1,17 +1,21 @@
 """The goal-conditioned skill policy (GSP) of chapter 3: a recurrent policy and a forward model."""
 
+import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freerein.learning.encoders import ENCODERS, CameraEncoders
+from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.goal_images import GoalImagesNetwork, GoalImagesSpec
 from freerein_imitation.model.policy import LSTMState, flat_lstm_state, lstm_state
 
 _FORWARD_HIDDEN = 256
+_PIXELS_SIDE = 16
+"""Most rows and columns of the image that a forward model of pixels predicts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,11 +24,13 @@ class GoalConditionedSpec(GoalImagesSpec):
 
     Attributes:
         use_previous_action: Whether the policy takes the previous action as input, as in the dissertation.
-        forward_model: Whether there is a forward model, which only forward consistency needs.
+        forward_model: Whether there is a forward model, which is needed in training only.
+        forward_target: What it predicts.
     """
 
     use_previous_action: bool = True
     forward_model: bool = False
+    forward_target: Literal["features", "pixels"] = "features"
 
 
 class GoalConditionedNetwork(GoalImagesNetwork):
@@ -79,21 +85,42 @@ class SkillPolicyNetwork(nn.Module):
 
 
 class ForwardModel(nn.Module):
-    """f of eq. 3.4: phi(x_{t+1}) from phi(x_t) and the distribution of a_t."""
+    """f of eq. 3.4, or of eq. 3.3: what is observed at t + 1, from phi(x_t) and the distribution of a_t."""
 
     def __init__(self, spec: GoalConditionedSpec) -> None:
         super().__init__()
+        self._sizes = {
+            camera.name: (min(camera.height, _PIXELS_SIDE), min(camera.width, _PIXELS_SIDE)) for camera in spec.cameras
+        }
+        self._predicts_pixels = spec.forward_target == "pixels"
         features = spec.features * len(spec.cameras)
+        pixels = sum(camera.channels * math.prod(self._sizes[camera.name]) for camera in spec.cameras)
         self.hidden = nn.Linear(features + spec.action.size * spec.categories, _FORWARD_HIDDEN)
-        self.residual = nn.Linear(_FORWARD_HIDDEN, features)
+        self.residual = nn.Linear(_FORWARD_HIDDEN, pixels if self._predicts_pixels else features)
 
-    def forward(self, features: Tensor, action: Tensor) -> Tensor:
-        """Returns the next features, float32 (..., D).
+    def observed(self, features: Tensor, frames: FrameTensors) -> Tensor:
+        """Returns what the model predicts, as it is observed in frames: their features, or pixels; float32 (N, O).
+
+        Args:
+            features: phi of the frames, float32 (N, D).
+            frames: By camera, uint8 (N, H, W, C).
+        """
+        if not self._predicts_pixels:
+            return features.detach()
+        images = (
+            functional.adaptive_avg_pool2d(frames[name].permute(0, 3, 1, 2) / 255, size)
+            for name, size in self._sizes.items()
+        )
+        return torch.cat([each.flatten(start_dim=1) for each in images], dim=1)
+
+    def forward(self, features: Tensor, action: Tensor, observed: Tensor) -> Tensor:
+        """Returns what is observed next, float32 (..., O).
 
         Args:
             features: phi(x_t), float32 (..., D).
             action: Target or predicted distribution of a_t, float32 (..., A, categories).
+            observed: What is observed at t, float32 (..., O).
         """
         inputs = torch.cat([features, action.flatten(-2)], dim=-1)
         residual: Tensor = self.residual(functional.relu(self.hidden(inputs)))
-        return features + residual
+        return observed + residual

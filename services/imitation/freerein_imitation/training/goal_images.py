@@ -1,10 +1,11 @@
 """Training of policies for goal images, and of the goal recognizer, from frames and executed actions alone."""
 
 import math
-from collections.abc import Callable, Sequence
+from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,15 +21,12 @@ from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation import objectives
-from freerein_imitation.model.goal_images import GoalImagesNetwork, GoalRecognizer, proximity_logit
+from freerein_imitation.model.goal_images import GoalImagesNetwork, GoalImagesSpec, GoalRecognizer, proximity_logit
 from freerein_imitation.model.policy import confidence
 from freerein_imitation.training.frame_features import encode_trajectory, sampled_statistics, trajectory_statistics
 from freerein_imitation.training.goal_relabelling import RelabelledSlices, sample_recognizer_batch, sample_slices
 
 N = TypeVar("N", bound=GoalImagesNetwork)
-
-PolicyLosses: TypeAlias = Callable[[N, RelabelledSlices], tuple[Tensor, Tensor]]
-"""Returns the action loss of a network on slices, eq. 3.2, and the sum of its other losses, float () each."""
 
 _NORMALISATION_FRAMES = 2000
 _EVALUATION_WINDOWS = 192
@@ -87,28 +85,25 @@ class GoalImagesLosses:
 
 @dataclass(frozen=True, eq=False)
 class GoalImagesLearner(Learner[N]):
-    """Learner of a network for goal images; an item is a window of a trajectory.
-
-    Attributes:
-        config: Configuration.
-        make_network: Returns an untrained network.
-        policy_losses: The losses of its policy.
-        training: Training trajectories.
-        validation: Validation trajectories.
-        fingerprint: Fingerprint of the dataset.
-        device: Device to train on.
-    """
+    """Base of the learners of networks for goal images; an item is a window of a trajectory."""
 
     config: GoalImagesConfig
-    make_network: Callable[[], N]
-    policy_losses: PolicyLosses[N]
+    spec: GoalImagesSpec
     training: Trajectories
     validation: Trajectories
     fingerprint: str
     device: torch.device
 
+    @abstractmethod
+    def network(self) -> N:
+        """Returns an untrained network."""
+
+    @abstractmethod
+    def policy_losses(self, network: N, slices: RelabelledSlices) -> tuple[Tensor, Tensor]:
+        """Returns the action loss of a network on slices, eq. 3.2, and its auxiliary losses, float () each."""
+
     @cached_property
-    def _windows(self) -> npt.NDArray[np.int64]:
+    def _windows(self) -> Items:
         return _windows(self.training, self.config)
 
     @property
@@ -118,7 +113,7 @@ class GoalImagesLearner(Learner[N]):
 
     def init(self, generator: torch.Generator) -> TrainState[N]:
         """Returns the state before the first update."""
-        network = self.make_network()
+        network = self.network()
         weights.initialise(network, generator=generator)
         sampled = self.training.sample_frames(_NORMALISATION_FRAMES)
         frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
@@ -160,13 +155,17 @@ class GoalImagesLearner(Learner[N]):
         trajectories = len(self.validation)
         network.in_distribution.fit(known, held_out, confidence(torch.cat(reached)), trajectories=trajectories)
 
+    def _slices(self, trajectories: Trajectories, items: Sequence[int], rng: np.random.Generator) -> RelabelledSlices:
+        """Returns slices of random windows of some trajectories."""
+        steps = (self.config.min_goal_steps, self.config.max_goal_steps)
+        return sample_slices(trajectories, items, rng, steps=steps, device=self.device)
+
     def _losses(
         self, network: N, trajectories: Trajectories, items: Sequence[int], rng: np.random.Generator
     ) -> GoalImagesLosses:
         """Returns the losses on slices and frames sampled from some trajectories."""
         config = self.config
-        steps = (config.min_goal_steps, config.max_goal_steps)
-        slices = sample_slices(trajectories, items, rng, steps=steps, device=self.device)
+        slices = self._slices(trajectories, items, rng)
         batch = sample_recognizer_batch(trajectories, items, rng, close_steps=config.close_steps, device=self.device)
         action, auxiliary = self.policy_losses(network, slices)
         embeddings = network.recognizer(batch.frames)  # (N, embedding_size)
