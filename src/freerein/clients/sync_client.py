@@ -50,8 +50,8 @@ class SyncClient:
         method = getattr(self._client, name)
 
         def call(*args: object, **kwargs: object) -> object:
-            reply = self._wait(_called(method, args, kwargs))
-            return self._iterate(_Replies(reply)) if isinstance(reply, AsyncGenerator) else reply
+            reply = method(*args, **kwargs)  # neither has begun: a channel opens on the running loop
+            return self._iterate(_Replies(reply)) if isinstance(reply, AsyncGenerator) else self._wait(reply)
 
         return call
 
@@ -132,8 +132,3 @@ def _end(loop: asyncio.AbstractEventLoop, stop: asyncio.Event, thread: threading
     loop.call_soon_threadsafe(stop.set)
     if thread is not threading.current_thread():  # the garbage collector may run on any thread
         thread.join()
-
-
-async def _called(method: Callable[..., Any], args: tuple[object, ...], kwargs: dict[str, object]) -> Any:
-    reply = method(*args, **kwargs)  # on this thread: a channel opens on the running loop
-    return reply if isinstance(reply, AsyncGenerator) else await reply

@@ -43,12 +43,11 @@ class RecoveringCollector:
             Stopped: The run is to stop.
             ServiceError: A service failed permanently.
         """
-
-        def attempt() -> tuple[RolloutBuffer, CollectorState]:
-            return collect_groups(network, self._envs_at(state), state, num_steps=self._num_steps)
-
-        rollout, self._envs_state = self._retry.call(attempt, on_failure=self._fail)
-        return rollout, self._envs_state
+        for attempt in self._retry.attempts(on_failure=self._fail):
+            with attempt:
+                collected = collect_groups(network, self._envs_at(state), state, num_steps=self._num_steps)
+        _, self._envs_state = collected
+        return collected
 
     def close(self) -> None:
         """Closes the sessions."""

@@ -1,7 +1,8 @@
 """Retry with backoff: calls are repeated while a service is unavailable, for as long as it takes."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import TypeVar
 
 import numpy as np
@@ -51,11 +52,21 @@ class Retry:
         self._failures = 0
         self._model_faults = 0
 
-    def call(self, work: Callable[[], T], *, on_failure: Callable[[], None] = lambda: None) -> T:
-        """Returns the result of `work`, which may be called any number of times.
+    def call(self, work: Callable[[], T]) -> T:
+        """Returns the result of `work`, which may be called any number of times; raises as `attempts`."""
+        for attempt in self.attempts():
+            with attempt:
+                result = work()
+        return result
+
+    def attempts(self, *, on_failure: Callable[[], None] = lambda: None) -> Iterator[AbstractContextManager[None]]:
+        """Yields a context for each attempt at some work, until one of them ends without an error.
+
+            for attempt in retry.attempts():
+                with attempt:
+                    result = work()
 
         Args:
-            work: What to do.
             on_failure: Called after each failed attempt.
 
         Raises:
@@ -63,10 +74,13 @@ class Retry:
             IterationRejected: A service has a bug or returned non-finite numbers.
             ServiceError: A permanent failure, or a model that failed three times.
         """
-        while True:
-            self.interrupt()
+        has_ended = False
+
+        @contextmanager
+        def attempt() -> Iterator[None]:
+            nonlocal has_ended
             try:
-                result = work()
+                yield
             except ServiceError as error:
                 on_failure()
                 if not is_transient(error):
@@ -77,7 +91,11 @@ class Retry:
                 raise
             else:
                 self.reset()
-                return result
+                has_ended = True
+
+        while not has_ended:
+            self.interrupt()
+            yield attempt()
 
     def interrupt(self) -> None:
         """Raises Stopped if the work is to stop."""

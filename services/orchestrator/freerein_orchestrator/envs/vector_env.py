@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -133,7 +133,12 @@ class RemoteVectorEnv:
         """Takes one action in every environment; its rewards are computed in the background."""
         self._interrupt()
         self._rewards.check()
-        parts = self._map(_Session.step, np.split(actions, self._cuts))
+        shares = cast(Sequence[Actions], np.split(actions, self._cuts))
+        calls = [
+            self._stepping.submit(session.sim.step, session.step_request(share))
+            for session, share in zip(self._sessions, shares, strict=True)
+        ]
+        parts = [session.stepped(reply) for session, reply in zip(self._sessions, self._results(calls), strict=True)]
         final = np.concatenate([part.final_frames for part in parts])
         oracles = [part.oracle for part in parts if part.oracle is not None]
         self._rewards.add(final, np.concatenate(oracles) if oracles else None)
@@ -156,11 +161,9 @@ class RemoteVectorEnv:
         """Closes the sessions that can be reached; the others expire with their leases."""
         self._closing.close()
 
-    def _map(self, call: Callable[..., T], *arguments: Sequence[Any]) -> list[T]:
+    def _map(self, call: Callable[["_Session"], T]) -> list[T]:
         """Returns the results of a call to each session, all at once."""
-        return self._results(
-            [self._stepping.submit(call, *each) for each in zip(self._sessions, *arguments, strict=True)]
-        )
+        return self._results([self._stepping.submit(call, session) for session in self._sessions])
 
     def _results(self, futures: list[Future[T]]) -> list[T]:
         while wait(futures, _POLL_S).not_done:
@@ -197,7 +200,7 @@ class _Session:
     """A session on one sim service."""
 
     def __init__(self, sim: SyncClient, request: CreateSessionRequest, camera: str, action_repeat: int) -> None:
-        self._sim = sim
+        self.sim = sim
         self._session: str = sim.create_session(request).session
         self._num_envs = request.num_envs
         self._camera = camera
@@ -205,22 +208,18 @@ class _Session:
         self._steps = 0
 
     def restore(self, snapshot: bytes) -> None:
-        self._steps = self._sim.restore(RestoreRequest(self._session, snapshot)).step_id
+        self._steps = self.sim.restore(RestoreRequest(self._session, snapshot)).step_id
 
     def reset(self) -> Frames:
-        frames = self._sim.reset(ResetRequest(self._session, cameras=(self._camera,))).frames
+        frames = self.sim.reset(ResetRequest(self._session, cameras=(self._camera,))).frames
         return cast(Frames, frames[self._camera])
 
-    def step(self, actions: Actions) -> _SessionStep:
-        reply: StepResponse = self._sim.step(
-            StepRequest(
-                self._session,
-                self._steps + 1,
-                actions,
-                cameras=(self._camera,),
-                action_repeat=self._action_repeat,
-            )
-        )
+    def step_request(self, actions: Actions) -> StepRequest:
+        cameras, repeat = (self._camera,), self._action_repeat
+        return StepRequest(self._session, self._steps + 1, actions, cameras=cameras, action_repeat=repeat)
+
+    def stepped(self, reply: StepResponse) -> _SessionStep:
+        """Returns a step, given the reply to its request. Raises IterationRejected where that is malformed."""
         self._steps += 1
         frames = reply.frames.get(self._camera)
         if frames is None or {len(frames), len(reply.terminated), len(reply.truncated)} != {self._num_envs}:
@@ -236,11 +235,11 @@ class _Session:
         return _SessionStep(frames, final, reply.terminated, reply.truncated, oracle)
 
     def snapshot(self) -> bytes:
-        return cast(bytes, self._sim.snapshot(SnapshotRequest(self._session)).snapshot)
+        return cast(bytes, self.sim.snapshot(SnapshotRequest(self._session)).snapshot)
 
     def close(self) -> None:
         with suppress(ServiceError):
-            self._sim.close_session(CloseSessionRequest(self._session), timeout_s=_CLOSE_TIMEOUT_S)
+            self.sim.close_session(CloseSessionRequest(self._session), timeout_s=_CLOSE_TIMEOUT_S)
 
 
 def _malformed() -> IterationRejected:
