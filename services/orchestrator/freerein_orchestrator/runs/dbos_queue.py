@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -333,13 +334,21 @@ class DbosQueue:
         for worker in {status.executor_id for status in running}:
             if worker and worker != self._executor_id and self._locks.take(worker):
                 try:
-                    DBOS._recover_pending_workflows([worker])  # no public name
+                    self._requeue(worker)
                 finally:
                     self._locks.free(worker)
         orphans = {status.workflow_id for status in running if status.executor_id == self._executor_id} - self._runs
         if orphans & self._orphans and not self._runs:
-            DBOS._recover_pending_workflows([self._executor_id])
+            self._requeue(self._executor_id)
         self._orphans = orphans
+
+    def _requeue(self, worker: str) -> None:
+        """Queues again the runs that a worker has begun and does not execute, but for those that are cancelled."""
+        for run_id in [each.workflow_id for each in self._workflows(status="PENDING", executor_id=worker)]:
+            with self._store.lock(run_id) if self._store.exists(run_id) else nullcontext():  # nobody cancels meanwhile
+                workflow = self._workflow(run_id)
+                if (workflow.status, workflow.executor_id) == ("PENDING", worker):
+                    self._client.resume_workflow(run_id, queue_name=_QUEUE)
 
     def _close(self) -> None:
         with self._opening:
