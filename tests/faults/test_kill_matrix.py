@@ -17,7 +17,7 @@ import pytest_asyncio
 
 from freerein.clients import Channel, OrchestratorClient
 from freerein.errors import Unavailable
-from freerein.types.orchestrator import GetArtifactRequest, Run, RunKind, StartRunRequest, WatchRunRequest
+from freerein.types.orchestrator import GetArtifactRequest, Run, StartRunRequest, WatchRunRequest
 
 pytestmark = [pytest.mark.e2e, pytest.mark.asyncio(loop_scope="module")]
 MODULES = {"sim": "freerein_sim", "reward": "tests.faults.faulty_reward", "orchestrator": "freerein_orchestrator"}
@@ -54,7 +54,7 @@ class Running:
     client: OrchestratorClient
     data_dir: Path
 
-    async def start(self, kind: RunKind, config: dict[str, Any], key: str) -> str:
+    async def start(self, kind: str, config: dict[str, Any], key: str) -> str:
         async with asyncio.timeout(TIMEOUT_S):
             while True:
                 try:

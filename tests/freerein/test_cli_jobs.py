@@ -6,7 +6,6 @@ import shlex
 from collections.abc import AsyncGenerator
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import pytest
 from rich.console import Console
@@ -25,7 +24,7 @@ from freerein.errors import InvalidInput, Unavailable
 from freerein.types.common import ModelRef
 from freerein.types.jobs import MetricRow
 from freerein.types.learning import Fit
-from freerein.types.orchestrator import Run, RunKind
+from freerein.types.orchestrator import Run
 
 TIMEOUT_S = 0.1
 _RUN = Run("0" * 32, "running", {}, step=0, steps=10, kind="ppo")
@@ -182,8 +181,8 @@ def test_an_id_may_be_given_by_its_first_digits_or_a_readable_name() -> None:
             whole_id(given, ids)
 
 
-@pytest.mark.parametrize("kind", get_args(RunKind))
-def test_every_kind_of_run_says_what_to_do_next(kind: RunKind) -> None:
+@pytest.mark.parametrize("kind", ["collect", "label", "ppo", "fit", "distill", "another"])
+def test_every_kind_of_run_says_what_to_do_next(kind: str) -> None:
     names = {"task": "grid", "dataset": "mine", "model_name": "words", "iterations": 92}
     config = {**names, "service": "reward", "config": {"method": "language"}}
     commands = [

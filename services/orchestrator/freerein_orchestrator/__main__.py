@@ -20,8 +20,7 @@ from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
-from freerein.types.orchestrator import RunKind
-from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds import find_kind
 from freerein_orchestrator.kinds.config_schemas import run_config_schema
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.runs.dbos_queue import DbosQueue
@@ -82,13 +81,13 @@ def _check_unused(settings: OrchestratorSettings, run_id: str) -> None:
     check_unused(settings.data_dir, f"Run {run_id[:8]}", names_run(run_id))
 
 
-def resolve(kind: RunKind, config: Mapping[str, Any], data_dir: Path) -> Resolved:
+def resolve(kind: str, config: Mapping[str, Any], data_dir: Path) -> Resolved:
     """Returns the whole configuration of a run, and its number of steps.
 
     Raises:
         InvalidInput: The configuration is wrong, or builds on what does not exist.
     """
-    chosen = KINDS[kind]
+    chosen = find_kind(kind)
     parsed = chosen.parse(config)
     chosen.check(parsed, PolicyStore.open(data_dir, os.environ), ())
     return Resolved(chosen.dump(parsed), chosen.steps(parsed))

@@ -120,6 +120,7 @@ def cancel(context: RunContext, config: FitRunConfig) -> None:
 
 
 KIND = Kind(
+    {"": FitRunConfig},
     partial(parse, FitRunConfig),
     steps=lambda config: int(config.config.get("steps", 0)),
     run=run,

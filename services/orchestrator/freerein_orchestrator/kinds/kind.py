@@ -31,6 +31,7 @@ class Kind(Generic[C]):
     """A kind of run, with a configuration of class C.
 
     Attributes:
+        configs: Dataclass of each form of its configurations; of the form `""` where there is one alone.
         parse: Returns the configuration of JSON values, defaults filled in; raises InvalidInput.
         steps: Returns the number of steps of a run.
         run: Does the work, or resumes it. Raises `Stopped` once the context says so; a `ServiceError` fails the run.
@@ -40,6 +41,7 @@ class Kind(Generic[C]):
         remote: What another service does for it, which may begin before `run`; None if the run does all itself.
     """
 
+    configs: Mapping[str, type]
     parse: Callable[[Mapping[str, Any]], C]
     steps: Callable[[C], int]
     run: Callable[[RunContext, C], None]

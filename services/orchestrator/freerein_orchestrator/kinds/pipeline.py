@@ -105,7 +105,7 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
                 kinds[step.kind].check(step.config, store, earlier)
             earlier.append(step.name)
 
-    return Kind(parse_pipeline, steps, partial(_run, kinds), check, dump)
+    return Kind({"": PipelineConfig}, parse_pipeline, steps, partial(_run, kinds), check, dump)
 
 
 def _parse_step(kinds: Mapping[Any, Kind[Any]], step: StepConfig) -> Step:

@@ -160,7 +160,9 @@ def check(config: PPORunConfig, store: PolicyStore, earlier: Collection[str]) ->
         find_training(store, config.resume_from, config, field=_RESUME_FIELD)
 
 
-KIND = Kind(partial(parse, PPORunConfig), steps=lambda config: config.iterations, run=run, check=check)
+KIND = Kind(
+    {"": PPORunConfig}, partial(parse, PPORunConfig), steps=lambda config: config.iterations, run=run, check=check
+)
 
 
 def session_request(config: PPORunConfig) -> CreateSessionRequest:

@@ -148,7 +148,7 @@ def skills_kind(pipeline: Kind[Pipeline]) -> Kind[SkillsRunConfig]:
         config = parse(SkillsRunConfig, values)
         return replace(config, name=config.shared_name)
 
-    return Kind(named, steps=lambda config: config.steps, run=run)
+    return Kind({"": SkillsRunConfig}, named, steps=lambda config: config.steps, run=run)
 
 
 def _step(name: str, kind: str, **config: Any) -> dict[str, Any]:

@@ -57,7 +57,7 @@ class Resolved:
     steps: int
 
 
-Resolve = Callable[[orchestrator.RunKind, Mapping[str, Any]], Resolved]
+Resolve = Callable[[str, Mapping[str, Any]], Resolved]
 
 
 class RunService:

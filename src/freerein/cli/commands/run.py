@@ -1,7 +1,7 @@
 """`freerein run`: starts a run; `freerein jobs` does all else."""
 
 from pathlib import Path
-from typing import Annotated, cast, get_args
+from typing import Annotated
 
 import typer
 
@@ -11,24 +11,13 @@ from freerein.cli.jobs.config_keys import KeysHelp
 from freerein.cli.jobs.options import Settings, configuration
 from freerein.cli.output import AsJson, command
 from freerein.clients import OrchestratorClient
-from freerein.types.orchestrator import RunKind, StartRunRequest
+from freerein.types.orchestrator import StartRunRequest
 
 app = typer.Typer(add_completion=False)
 
 
-def _known_kind(kind: str) -> str:
-    if kind not in get_args(RunKind):
-        raise typer.BadParameter(f"The kind must be one of {', '.join(get_args(RunKind))}; got another.")
-    return kind
-
-
 _Kind = Annotated[
-    str,
-    typer.Argument(
-        metavar="KIND",
-        callback=_known_kind,
-        help="collect, fit, label, ppo, distill, evaluate, pipeline or skills.",
-    ),
+    str, typer.Argument(metavar="KIND", help="collect, fit, label, ppo, distill, evaluate, pipeline or skills.")
 ]
 _Config = Annotated[Path | None, typer.Option(metavar="FILE.json", help="Configuration file; --set overrides it.")]
 _Key = Annotated[str, typer.Option(help="Idempotency key: the same key and configuration is the same run.")]
@@ -49,6 +38,6 @@ def run(
 
     `freerein run KIND --help` has the keys of one kind.
     """
-    request = StartRunRequest(cast(RunKind, kind), configuration(settings, config), key)
+    request = StartRunRequest(kind, configuration(settings, config), key)
     started = call(OrchestratorClient, "orchestrator", lambda client: client.start_run(request)).run
     show_or_watch("orchestrator", started, watch=watch, as_json=as_json)

@@ -14,7 +14,7 @@ from freerein.cli.demo.run_progress import RunProgress
 from freerein.cli.jobs.display import check_succeeded
 from freerein.cli.jobs.streams import follow_run
 from freerein.clients import ImitationClient, OrchestratorClient, RewardClient, SegmentationClient, SimClient
-from freerein.types.orchestrator import GetArtifactRequest, ListArtifactsRequest, Run, RunKind, StartRunRequest
+from freerein.types.orchestrator import GetArtifactRequest, ListArtifactsRequest, Run, StartRunRequest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
@@ -56,7 +56,7 @@ class Demo:
     reporter: Reporter
 
     async def run(
-        self, name: str, kind: RunKind, config: Mapping[str, Any], *, about_s: float, curve: str = "", unit: str = ""
+        self, name: str, kind: str, config: Mapping[str, Any], *, about_s: float, curve: str = "", unit: str = ""
     ) -> "FinishedRun":
         """Runs a run to its end, with its progress, and returns it; `curve` is the metric that is drawn.
 
@@ -64,7 +64,7 @@ class Demo:
         """
         path = self.out / f"{name}.json"
         path.write_text(json.dumps(config, indent=2) + "\n")
-        self.reporter.command(f"freerein runs start {kind} --config {path} --watch")
+        self.reporter.command(f"freerein run {kind} --config {path} --watch")
         client = self.clients.orchestrator
         progress = RunProgress(kind, about_s=about_s, started_s=time.monotonic(), curve=curve, unit=unit)
         async with self.reporter.following(progress):

@@ -44,4 +44,4 @@ def run(context: RunContext, config: CollectConfig) -> None:
     write_atomic(context.artifacts / CARD, json.dumps(card, indent=2).encode())
 
 
-KIND = Kind(partial(parse, CollectConfig), steps=lambda config: config.count, run=run)
+KIND = Kind({"": CollectConfig}, partial(parse, CollectConfig), steps=lambda config: config.count, run=run)

@@ -16,6 +16,7 @@ import os
 import shutil
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -171,11 +172,7 @@ def _fitted(context: RunContext, config: DistillConfig) -> Iterator[ModelRef]:
         yield ModelRef(**json.loads(path.read_bytes()))
 
 
-def _parse(values: Mapping[str, Any]) -> DistillConfig:
-    return parse(DistillConfig, values)
-
-
-KIND = Kind(_parse, steps, run, check)
+KIND = Kind({"": DistillConfig}, partial(parse, DistillConfig), steps, run, check)
 
 
 def _check_teachers(config: DistillConfig, policies: Sequence[StoredPolicy]) -> None:

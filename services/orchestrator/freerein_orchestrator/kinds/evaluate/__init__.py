@@ -72,4 +72,5 @@ def run(context: RunContext, config: FormConfig) -> None:
     record.write_result(result, {**header, "privileged": True})
 
 
-KIND = Kind(_parse, steps=lambda config: config.episodes, run=run, check=check)
+_CONFIGS = {name: form.config for name, form in FORMS.items()}
+KIND = Kind(_CONFIGS, _parse, steps=lambda config: config.episodes, run=run, check=check)

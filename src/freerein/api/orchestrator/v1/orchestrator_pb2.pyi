@@ -10,7 +10,6 @@ from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
 from google.protobuf import struct_pb2 as _struct_pb2
 from google.protobuf.internal import containers as _containers
-from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 import builtins as _builtins
 import sys
 import typing as _typing
@@ -27,53 +26,6 @@ class Run(_message.Message):
     """One run."""
 
     DESCRIPTOR: _descriptor.Descriptor
-
-    class _Kind:
-        ValueType = _typing.NewType("ValueType", _builtins.int)
-        V: _TypeAlias = ValueType  # noqa: Y015
-
-    class _KindEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[Run._Kind.ValueType], _builtins.type):
-        DESCRIPTOR: _descriptor.EnumDescriptor
-        KIND_UNSPECIFIED: Run._Kind.ValueType  # 0
-        """Refused."""
-        KIND_COLLECT: Run._Kind.ValueType  # 1
-        """Records a behaviour in a task into a dataset."""
-        KIND_FIT: Run._Kind.ValueType  # 2
-        """Fits a model of another service."""
-        KIND_PPO: Run._Kind.ValueType  # 3
-        """Trains a policy on frames and a reward with PPO."""
-        KIND_DISTILL: Run._Kind.ValueType  # 4
-        """Distills policies of earlier runs into one language policy."""
-        KIND_EVALUATE: Run._Kind.ValueType  # 5
-        """Measures a policy or a model against true states."""
-        KIND_PIPELINE: Run._Kind.ValueType  # 6
-        """Executes several of the other kinds in sequence."""
-        KIND_LABEL: Run._Kind.ValueType  # 7
-        """Labels every timestep of a dataset by a segmentation model."""
-        KIND_SKILLS: Run._Kind.ValueType  # 8
-        """Learns skill policies from demonstrations with tags, and has them execute recipes: a pipeline of the above."""
-
-    class Kind(_Kind, metaclass=_KindEnumTypeWrapper):
-        """Kind of a run."""
-
-    KIND_UNSPECIFIED: Run.Kind.ValueType  # 0
-    """Refused."""
-    KIND_COLLECT: Run.Kind.ValueType  # 1
-    """Records a behaviour in a task into a dataset."""
-    KIND_FIT: Run.Kind.ValueType  # 2
-    """Fits a model of another service."""
-    KIND_PPO: Run.Kind.ValueType  # 3
-    """Trains a policy on frames and a reward with PPO."""
-    KIND_DISTILL: Run.Kind.ValueType  # 4
-    """Distills policies of earlier runs into one language policy."""
-    KIND_EVALUATE: Run.Kind.ValueType  # 5
-    """Measures a policy or a model against true states."""
-    KIND_PIPELINE: Run.Kind.ValueType  # 6
-    """Executes several of the other kinds in sequence."""
-    KIND_LABEL: Run.Kind.ValueType  # 7
-    """Labels every timestep of a dataset by a segmentation model."""
-    KIND_SKILLS: Run.Kind.ValueType  # 8
-    """Learns skill policies from demonstrations with tags, and has them execute recipes: a pipeline of the above."""
 
     @_typing.final
     class MetricsEntry(_message.Message):
@@ -107,8 +59,8 @@ class Run(_message.Message):
     TIME_NS_FIELD_NUMBER: _builtins.int
     id: _builtins.str
     """32 hexadecimal digits."""
-    kind: Global___Run.Kind.ValueType
-    """Kind of the run."""
+    kind: _builtins.str
+    """Kind of the run, such as `ppo`."""
     state: _jobs_pb2.JobState.ValueType
     """Its state; a queued run waits for a worker."""
     step: _builtins.int
@@ -135,7 +87,7 @@ class Run(_message.Message):
         self,
         *,
         id: _builtins.str = ...,
-        kind: Global___Run.Kind.ValueType = ...,
+        kind: _builtins.str = ...,
         state: _jobs_pb2.JobState.ValueType = ...,
         config: _struct_pb2.Struct | None = ...,
         step: _builtins.int = ...,
@@ -162,8 +114,8 @@ class StartRunRequest(_message.Message):
     KIND_FIELD_NUMBER: _builtins.int
     CONFIG_FIELD_NUMBER: _builtins.int
     IDEMPOTENCY_KEY_FIELD_NUMBER: _builtins.int
-    kind: Global___Run.Kind.ValueType
-    """Kind of the run."""
+    kind: _builtins.str
+    """Kind of the run: `collect`, `fit`, `label`, `ppo`, `distill`, `evaluate`, `pipeline` or `skills`."""
     idempotency_key: _builtins.str
     """A key of the caller's choice: the same key and request returns the run already started. Empty for none."""
     @_builtins.property
@@ -173,7 +125,7 @@ class StartRunRequest(_message.Message):
     def __init__(
         self,
         *,
-        kind: Global___Run.Kind.ValueType = ...,
+        kind: _builtins.str = ...,
         config: _struct_pb2.Struct | None = ...,
         idempotency_key: _builtins.str = ...,
     ) -> None: ...
