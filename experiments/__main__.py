@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments import registry
+from experiments import pages, registry
 from experiments.workbench import results, table
 from experiments.workbench.arms import Arm, choose, is_current
 from experiments.workbench.progress import ArmProgress, progress
@@ -83,7 +83,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _table(arguments: argparse.Namespace) -> int:
-    """Makes the tables of the named experiments, else of all that have results."""
+    """Makes the tables of the named experiments, else of all that have results, and the pages that show them."""
     for name in arguments.names or registry.EXPERIMENTS:
         made = make_table(name, arguments.results)
         if made is not None:
@@ -94,6 +94,8 @@ def _table(arguments: argparse.Namespace) -> int:
                 "The experiment must have results of its present configuration and world; it has none.",
                 hint="Run: python -m experiments run NAME.",
             )
+    if arguments.results == Places.results:
+        pages.save(Path())
     return 0
 
 

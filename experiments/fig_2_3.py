@@ -1,9 +1,8 @@
 """Figure 2.3: held-out trajectories, one of each robot's world, and the skills that our method finds in them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,11 @@ from experiments.segmentation.dataset import SPLITS
 from experiments.segmentation.experiment import SHOWN_LABELS, SegmentationExperiment
 from experiments.segmentation.rows import Rows
 from experiments.segmentation.study import Study
-from experiments.workbench.arms import Arm
-from experiments.workbench.configs import Config
+from experiments.workbench.arms import Experiment
 from experiments.workbench.plots import new_figure, png
-from experiments.workbench.results import ArmResult, Outcome
+from experiments.workbench.results import ArmResult
 from experiments.workbench.table import Picture, Section, Table
 from freerein import metrics
-from freerein.errors import NotFound
 
 Labels = npt.NDArray[np.int64]
 
@@ -53,25 +50,10 @@ class Shown:
     predicted: Labels
 
 
-class _Figure:
+class _Figure(Experiment):
     """Trains nothing: it shows the first test trajectory of our first network of each world."""
 
-    arms: tuple[Arm, ...] = ()
     sources = tuple(_SOURCES)
-
-    def config(self, arm: Arm) -> Config:
-        """Raises NotFound: there are no arms."""
-        raise _no_arms()
-
-    def prepare(self, arm: Arm, work: Path) -> bool:
-        """Raises NotFound: there are no arms."""
-        raise _no_arms()
-
-    def run(
-        self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
-    ) -> Outcome | None:
-        """Raises NotFound: there are no arms."""
-        raise _no_arms()
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the segments of each trajectory, with their frames as a picture."""
@@ -85,10 +67,6 @@ class _Figure:
             claims=(),
             picture=Picture("Frames, predicted and true skills over time", partial(_picture, shown)),
         )
-
-
-def _no_arms() -> NotFound:
-    return NotFound("A figure has no arms to run.", hint=f"Run those of {' and '.join(_SOURCES)}.")
 
 
 def _study(world: str) -> Study:

@@ -15,6 +15,7 @@ EXPERIMENTS = (
     "fig_2_3",
     "robustness",
     "first_session",
+    "demo",
     "smoke",
 )
 """Names of the experiments; each is a module of this package with the attribute `EXPERIMENT`."""

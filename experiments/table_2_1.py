@@ -16,7 +16,7 @@ from experiments.segmentation.methods import (
     supervised,
 )
 from experiments.segmentation.report import Report
-from experiments.segmentation.rows import Row
+from experiments.segmentation.rows import Row, dissertation
 from experiments.segmentation.study import Method, Study
 from experiments.segmentation.targets import Target
 from experiments.workbench.table import words
@@ -72,16 +72,7 @@ EXPERIMENT = SegmentationExperiment(
         title="The grid world (Table 2.1)",
         text=words("table_2_1"),
         dissertation_trajectories=dict.fromkeys((_WITH_INDICATOR, _WITHOUT), _TRAIN),
-        dissertation={
-            _WITH_INDICATOR: {
-                Row("random"): (20, 20, 20),
-                Row("random_cls"): (36, 36, 20),
-                Row("lse", CAUSAL): (100, 100, 100),
-                Row("mil", CAUSAL): (90.78, 91.08, 91.08),
-                Row("fcn_mil", CAUSAL): (91.28, 91.88, 91.58),
-                Row("ccnn", CAUSAL): (65.27, 64.63, 60.24),
-            }
-        },
+        dissertation=dissertation("table_2_1"),
         targets=(
             Target("grid_indicator", _WITH_INDICATOR, _OURS, least=99.95),
             Target("grid_plain", _WITHOUT, _OURS_WITHOUT, least_gap_closed=0.75),

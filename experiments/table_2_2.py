@@ -18,7 +18,7 @@ from experiments.segmentation.methods import (
     supervised,
 )
 from experiments.segmentation.report import Report
-from experiments.segmentation.rows import Row
+from experiments.segmentation.rows import Row, dissertation
 from experiments.segmentation.study import Study
 from experiments.segmentation.targets import Target
 from experiments.workbench.table import words
@@ -76,24 +76,7 @@ EXPERIMENT = SegmentationExperiment(
         title="Robot arms (Table 2.2)",
         text=words("table_2_2"),
         dissertation_trajectories=_TRAIN,
-        dissertation={
-            DIAL: {
-                Row("random"): (10, 10, 10),
-                Row("random_cls"): (36, 36, 20),
-                Row("ccnn", CAUSAL): (9.05, 9.58, 10.70),
-                Row("fcn_mil", CAUSAL): (64.42, 59.64, 57.81),
-                Row("mil", CAUSAL): (19.02, 15.89, 14.00),
-                Row("lse", CAUSAL): (61.57, 59.52, 59.93),
-            },
-            BINS: {
-                Row("random"): (25, 25, 25),
-                Row("random_cls"): (33, 33, 25),
-                Row("ccnn", CAUSAL): (31.92, 22.24, 21.80),
-                Row("fcn_mil", CAUSAL): (29.79, 23.76, 22.21),
-                Row("mil", CAUSAL): (35.95, 28.81, 28.69),
-                Row("lse", CAUSAL): (44.96, 37.67, 33.88),
-            },
-        },
+        dissertation=dissertation("table_2_2"),
         targets=(
             Target("dial", DIAL, _OURS, least_gap_closed=0.75, above=59.93),
             Target("bins", BINS, _OURS, least_gap_closed=0.75, above=33.88),

@@ -8,7 +8,7 @@ from experiments.first_session import pictures, report
 from experiments.first_session.figures import figures
 from experiments.first_session.pipeline import FULL, SMALL, pipeline
 from experiments.first_session.record import Record
-from experiments.workbench.arms import Arm, world_version
+from experiments.workbench.arms import Arm, Experiment, world_version
 from experiments.workbench.configs import Config
 from experiments.workbench.pipelines import Step, run_pipeline
 from experiments.workbench.results import ArmResult, Outcome
@@ -17,19 +17,14 @@ from experiments.workbench.table import Table
 _WORLD, _GRID, _METHOD = "blocks", "grid", "pipeline"
 
 
-class FirstSession:
+class FirstSession(Experiment):
     """One arm for each size."""
 
     arms: tuple[Arm, ...] = tuple(Arm(_WORLD, _METHOD, {"size": size}) for size in (FULL, SMALL))
-    sources: tuple[str, ...] = ()
 
     def config(self, arm: Arm) -> Config:
         """Returns the pipeline, and the version of its second world."""
         return {"steps": _steps(arm), "grid": world_version(_GRID)}
-
-    def prepare(self, arm: Arm, work: Path) -> bool:
-        """Makes nothing: the arms share no data."""
-        return True
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]

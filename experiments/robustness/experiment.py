@@ -21,7 +21,7 @@ from experiments.robustness.draw import Spec, open_or_draw
 from experiments.robustness.visited_states import StoredPolicy, stored_policies
 from experiments.robustness.worlds import DEMONSTRATED, NOMINAL, SCATTERED
 from experiments.segmentation import guesses
-from experiments.workbench.arms import Arm
+from experiments.workbench.arms import Arm, Experiment
 from experiments.workbench.configs import Config
 from experiments.workbench.pipelines import run_pipeline
 from experiments.workbench.results import ArmResult, Outcome
@@ -51,7 +51,7 @@ _FOUND: Mapping[tuple[str, str], Callable[[Path], Outcome]] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class RobustnessExperiment:
+class RobustnessExperiment(Experiment):
     """Arms that differ in model, augmentation and seed.
 
     Attributes:
@@ -83,11 +83,6 @@ class RobustnessExperiment:
     @property
     def _policies(self) -> dict[str, StoredPolicy]:
         return {policy.task: policy for policy in stored_policies(self.policies)}
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """None."""
-        return ()
 
     def config(self, arm: Arm) -> Config:
         """Returns the specs of all data, the service's configuration of a fit, and the policy that acts."""

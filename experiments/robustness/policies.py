@@ -176,7 +176,7 @@ def _landmark_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
     for name, counted in ((LANDMARKS_FREE, False), (LANDMARKS_BLOCK, True)):
         kept = [np.array(each["moves"], np.bool_) == counted for each in measured]
         recognized = [np.array(each["recognized"], np.bool_) for each in measured]
-        yield name, _share([flags[keep] for flags, keep in zip(recognized, kept, strict=True)])
+        yield name, Sample.of_flags([flags[keep] for flags, keep in zip(recognized, kept, strict=True)])
 
 
 def _recall(score: npt.NDArray[np.float64], right: npt.NDArray[np.bool_], trial: npt.NDArray[np.int64]) -> Sample:
@@ -191,8 +191,8 @@ def _recall(score: npt.NDArray[np.float64], right: npt.NDArray[np.bool_], trial:
 
 def _recipe_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
     completed = [np.array(each["completed"], np.bool_) for each in trials["recipes"]]
-    yield RECIPE_SKILLS, _share(completed)
-    yield RECIPE_WHOLE, _share([np.array([each.all()]) for each in completed])
+    yield RECIPE_SKILLS, Sample.of_flags(completed)
+    yield RECIPE_WHOLE, Sample.of_flags([np.array([each.all()]) for each in completed])
 
 
 def _return_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
@@ -223,7 +223,7 @@ def _sentence_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
     count = len(WORDINGS_OF_SIDES)
     meant = np.arange(count) >= count // 2  # the left task's, then the right one's
     done = [np.array(each["successes"])[meant.astype(int), len(SIDES) + np.arange(count)] for each in student]
-    yield WORDINGS, _share(done)
+    yield WORDINGS, Sample.of_flags(done)
 
 
 def told_other(task: str) -> str:
@@ -239,12 +239,6 @@ def word_blind_return(task: str) -> str:
 def told_other_return(task: str) -> str:
     """Returns the name of a figure: our student's return in a task, told the other."""
     return f"told.misled.{task}"
-
-
-def _share(flags: Sequence[npt.NDArray[np.bool_]]) -> Sample:
-    """Returns the share of flags that are true, over trials that have some."""
-    present = [each for each in flags if len(each)]
-    return Sample([int(each.sum()) for each in present], [len(each) for each in present])
 
 
 def _evaluate(form: str, name: str = "", **config: Any) -> Step:

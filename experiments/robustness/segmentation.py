@@ -73,7 +73,7 @@ def evaluate(model: SegmentationModel, work: Path) -> Outcome:
         predictions = [model.predict(*pair) for pair in pairs]
         decoded = [_decode(each.probabilities, model.skills) for each in predictions]
         right = [each.labels == truth for each, truth in zip(decoded, labels, strict=True)]
-        samples[f"{condition}.{FRAME_ACCURACY}"] = _accuracy(right)
+        samples[f"{condition}.{FRAME_ACCURACY}"] = Sample.of_flags(right)
         answers[condition] = Answers(
             right=np.concatenate(right),
             confidence=np.concatenate([each.confidence for each in decoded]),
@@ -90,7 +90,7 @@ def evaluate_guess(guess: Guess, work: Path) -> Outcome:
     for condition, spec in test_specs().items():
         labels = open_or_draw(spec, work).by_trajectory("labels")
         right = [guess(each, skills=skills, rng=rng) == each for each in labels]
-        samples[f"{condition}.{FRAME_ACCURACY}"] = _accuracy(right)
+        samples[f"{condition}.{FRAME_ACCURACY}"] = Sample.of_flags(right)
     return Outcome({}, samples)
 
 
@@ -104,10 +104,6 @@ def _decode(probabilities: npt.NDArray[np.float32], skills: tuple[str, ...]) -> 
         min_kept=defaults.min_kept,
         min_confidence=defaults.min_confidence,
     )
-
-
-def _accuracy(right: list[npt.NDArray[np.bool_]]) -> Sample:
-    return Sample([int(each.sum()) for each in right], [len(each) for each in right])
 
 
 def _trajectories(drawn: Drawn, skills: tuple[str, ...]) -> Trajectories:

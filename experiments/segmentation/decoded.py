@@ -40,7 +40,8 @@ class Decoded:
 
     def samples(self, change: Callable[[Labels], Labels] = lambda labels: labels) -> list[Sample]:
         """Returns the frame accuracy of each network's labels, changed."""
-        return [self._sample([change(each) for each in labels]) for labels in self.networks]
+        pairs = (zip(labels, self.truth, strict=True) for labels in self.networks)
+        return [Sample.of_flags(change(ours) == theirs for ours, theirs in each) for each in pairs]
 
     def boundary_error(self) -> tuple[float, float]:
         """Returns mean and standard deviation of how late skills begin, in timesteps, over boundaries and networks."""
@@ -56,10 +57,6 @@ class Decoded:
     def value(self, change: Callable[[Labels], Labels]) -> float:
         """Returns the accuracy of changed labels in per cent, as a mean over networks."""
         return PER_CENT * claims.mean(self.samples(change))
-
-    def _sample(self, labels: Sequence[Labels]) -> Sample:
-        correct = [int((ours == theirs).sum()) for ours, theirs in zip(labels, self.truth, strict=True)]
-        return Sample(correct, [len(each) for each in self.truth])
 
 
 def _unpacked(arm: ArmResult, name: str) -> list[Labels]:

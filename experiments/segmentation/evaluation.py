@@ -128,8 +128,7 @@ def score_confidence(confidence: Confidence) -> Outcome:
 
 
 def _accuracy(predicted: Sequence[Labels], truth: Sequence[Labels]) -> Sample:
-    correct = [int((ours == theirs).sum()) for ours, theirs in zip(predicted, truth, strict=True)]
-    return Sample(correct, [len(each) for each in truth])
+    return Sample.of_flags(ours == theirs for ours, theirs in zip(predicted, truth, strict=True))
 
 
 def _segment_figures(predicted: Sequence[Labels], truth: Sequence[Labels]) -> dict[str, float]:

@@ -21,7 +21,7 @@ from experiments.segmentation.guesses import GUESSES, TRUTH
 from experiments.segmentation.packed import PACKED, PACKED_DECODED, pack
 from experiments.segmentation.report import Report
 from experiments.segmentation.study import ACTION_STEPS, SUPERVISED, Study
-from experiments.workbench.arms import Arm
+from experiments.workbench.arms import Arm, Experiment
 from experiments.workbench.configs import Config
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
@@ -64,7 +64,7 @@ class ArmConfig:
 
 
 @dataclass(frozen=True)
-class SegmentationExperiment:
+class SegmentationExperiment(Experiment):
     """Studies of some worlds, and the table of their arms.
 
     Attributes:
@@ -79,11 +79,6 @@ class SegmentationExperiment:
     def arms(self) -> tuple[Arm, ...]:
         """The arms of each study in turn."""
         return tuple(arm for study in self.studies for arm in study.arms)
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """None."""
-        return ()
 
     def config(self, arm: Arm) -> Config:
         """Returns the data and, for a network, the segmentation service's configuration and what is tried."""

@@ -1,7 +1,9 @@
 """Rows of a table: the arms of one world that differ in the seed alone, and their figures."""
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -32,6 +34,18 @@ LEAST_GAP = 0.5
 
 _MOST_OF_GUESSED = 0.98
 """Loss of held-out tags, relative to that of the best constant scores, from which on a network has learned nothing."""
+
+
+_DISSERTATION = Path(__file__).parents[1] / "results" / "dissertation.json"
+
+
+def dissertation(table: str) -> dict[str, dict[Row, tuple[float, float, float]]]:
+    """Returns what the dissertation prints in a table such as `table_2_2`, in per cent: three figures by world and row.
+
+    They are accuracies in train, validation and test; in `table_2_3` of labels, of kept labels, and subtasks done.
+    """
+    worlds: dict[str, dict[str, tuple[float, float, float]]] = json.loads(_DISSERTATION.read_bytes())[table]
+    return {world: {Row(*row.split()): each for row, each in rows.items()} for world, rows in worlds.items()}
 
 
 @dataclass(frozen=True)

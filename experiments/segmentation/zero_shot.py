@@ -200,6 +200,6 @@ def _outcome(found: Trials | None) -> Outcome | None:
     if found is None:
         return None
     completed = [np.array(each["completed"], np.bool_) for each in found[_RECIPES]]
-    subtasks = Sample([int(each.sum()) for each in completed], [len(each) for each in completed])
-    whole = Sample([int(each.all()) for each in completed], [1] * len(completed))
+    subtasks = Sample.of_flags(completed)
+    whole = Sample.of_flags(np.array([each.all()]) for each in completed)
     return Outcome({SUBTASKS: subtasks.mean, WHOLE_RECIPES: whole.mean}, {SUBTASKS: subtasks, WHOLE_RECIPES: whole})

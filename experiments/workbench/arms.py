@@ -1,11 +1,11 @@
 """An arm: one training, and the evaluation of what it made."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
-from typing import Protocol
 
 from experiments.workbench.configs import Config, is_same
 from experiments.workbench.results import ArmResult, Outcome
@@ -36,25 +36,29 @@ class Arm:
         return "-".join([self.world, self.method, *self.options.values(), f"seed{self.seed}"])
 
 
-class Experiment(Protocol):
-    """Arms, how one is run, and the table of their results."""
+class Experiment(ABC):
+    """Arms, how one is run, and the table of their results. One without arms shows results of others."""
 
     @property
     def arms(self) -> Sequence[Arm]:
         """All arms, in the order in which they run."""
+        return ()
 
     @property
     def sources(self) -> Sequence[str]:
         """Names of other experiments whose results its table shows, too."""
+        return ()
 
     def config(self, arm: Arm) -> Config:
         """Returns everything that the arm's result depends on, beside its name, the world and the code."""
+        raise NotFound("The experiment must have arms; it shows results of others.", hint="Run those.")
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Makes what an arm shares with others, such as datasets, unless it is there; its time is no arm's.
 
         Returns False when it was stopped by SIGTERM.
         """
+        return True
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
@@ -68,7 +72,9 @@ class Experiment(Protocol):
             folder: Folder of this arm, for checkpoints.
             on_progress: Called now and then.
         """
+        raise NotFound("The experiment must have arms; it shows results of others.", hint="Run those.")
 
+    @abstractmethod
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the table of its arms, and of its sources', that have results, at least one.
 

@@ -5,13 +5,14 @@ import json
 import lzma
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from experiments.workbench.processor import processor
@@ -39,6 +40,12 @@ class Sample:
 
     totals: Sequence[float]
     counts: Sequence[float]
+
+    @classmethod
+    def of_flags(cls, flags: Iterable[npt.NDArray[np.bool_]]) -> Self:
+        """Returns the share of flags that are true; a trial is an array of some, and one of none is left out."""
+        present = [each for each in flags if len(each)]
+        return cls([int(each.sum()) for each in present], [len(each) for each in present])
 
     @property
     def mean(self) -> float:

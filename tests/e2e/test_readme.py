@@ -16,13 +16,18 @@ import pytest
 from freerein.ports import PORTS
 
 CLONE = Path(__file__).parents[2]
-PAGES = (CLONE / "README.md", CLONE / "docs" / "training-loop.md")
+PAGES = (CLONE / "README.md", CLONE / "docs" / "use.md", CLONE / "docs" / "training-loop.md")
 BLOCKS = [
     block
     for page in PAGES
     for block in re.findall(r"^```(sh|python)\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
 ]
-FEWER = ((r"\bsteps=[0-9_]+", "steps=10"), (r"--count 100\b", "--count 20"))  # what is learned, `make demo` shows
+FEWER = (  # what is learned, `make demo` shows
+    (r"\bsteps=[0-9_]+", "steps=10"),
+    (r"--count 100\b", "--count 20"),
+    (r"n_steps=16, batch_size=64", "n_steps=2, batch_size=16"),
+    (r"learn\(128\)", "learn(16)"),
+)
 Newcomer = dict[str, list[str | Path]]
 """How a newcomer's shell starts a block of a language."""
 
@@ -52,15 +57,13 @@ def forked(
     tmp_path: Path,
     commands: Path,
     start_service: Callable[..., Any],
-    wait_until: Callable[..., float],
     monkeypatch: pytest.MonkeyPatch,
 ) -> Newcomer:
     """With services, commands and programs that are forked."""
     monkeypatch.setenv("PATH", f"{commands}:{os.environ['PATH']}")
     for name, ports in PORTS.items():
         at = {"FREEREIN_HTTP_PORT": str(ports.rest), "FREEREIN_GRPC_PORT": str(ports.grpc)}
-        service = start_service(f"freerein_{name}", tmp_path / "var", **at)
-        wait_until(service.is_ready, 300)
+        start_service(f"freerein_{name}", tmp_path / "var", **at).until_ready()
     return {"sh": ["bash", "-euo", "pipefail", "-c"], "python": [commands / "freerein-python"]}
 
 

@@ -1,7 +1,6 @@
 """The first session: its pipeline in both sizes, and how its figures are judged."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,8 +14,6 @@ from freerein.cli.demo.evaluations import Measured
 from freerein_orchestrator.kinds import KINDS
 
 Result = dict[str, Any]
-CLONE = Path(__file__).parents[2]
-README, TABLE = CLONE / "README.md", CLONE / "experiments" / "results" / "first_session" / "table.md"
 EVALUATIONS = [step["name"] for step in pipeline(FULL, 0) if step["kind"] == "evaluate"]
 
 
@@ -131,9 +128,3 @@ def kept() -> Result:
         {"ppo": 81.0, "distill": 64.0},
         [(1, 0.5), (2, 1.5)],
     )
-
-
-def test_the_readme_shows_the_table() -> None:
-    shown = README.read_text().split("<!-- experiments/results/first_session/table.md -->\n\n")[1].split("\n\n")[0]
-    table = [line for line in TABLE.read_text().splitlines() if line.startswith("|")]
-    assert shown.splitlines() == table

@@ -21,7 +21,7 @@ LOG_WIDTH = 80
 _LINE_EVERY_S = 5.0
 _REDRAWS_PER_S = 4
 _NAME_WIDTH = 34
-_COLUMNS = ("figure", "value", "95 % interval", "baseline")
+COLUMNS = ("figure", "value", "95 % interval", "baseline")
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Figure:
 def write(out: Path, figures: Sequence[Figure], document: Mapping[str, object]) -> None:
     """Writes `summary.json`, and the table of figures as `summary.md`."""
     (out / "summary.json").write_text(json.dumps(document, indent=2) + "\n")
-    rows = [_COLUMNS, tuple("---" for _ in _COLUMNS), *(figure.cells for figure in figures)]
+    rows = [COLUMNS, tuple("---" for _ in COLUMNS), *(figure.cells for figure in figures)]
     (out / "summary.md").write_text("".join(f"| {' | '.join(row)} |\n" for row in rows))
 
 

@@ -27,7 +27,7 @@ _READY_ABOUT_S = 6.0
 _PARTS = (*FIRST_RESULTS, *LEARNED)
 _TRY_NEXT = (
     "freerein models list",
-    "freerein runs start ppo --set task=blocks.yellow-right-of-green --watch",
+    "freerein run ppo --set task=blocks.yellow-right-of-green --watch",
 )
 
 
