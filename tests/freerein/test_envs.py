@@ -447,13 +447,15 @@ def test_an_option_that_there_is_not_is_named_beside_the_one_that_was_meant(
 
 @pytest.mark.parametrize("cameras", [("wrist",), ("front", "wrist")], ids=["box", "dict"])
 @pytest.mark.parametrize("task", TASKS)
-def test_a_vector_of_one_that_resets_in_the_next_step_is_what_gymnasium_makes_of_one(
-    address: str, task: str, cameras: tuple[str, ...]
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP], ids=["same", "next"])
+def test_a_vector_of_one_is_what_gymnasium_makes_of_one_environment(
+    address: str, mode: AutoresetMode, task: str, cameras: tuple[str, ...]
 ) -> None:
-    ours = gymnasium.make_vec(
-        f"freerein/{task}-v0", num_envs=1, address=address, cameras=cameras, autoreset_mode=AutoresetMode.NEXT_STEP
-    )
-    theirs = SyncVectorEnv([lambda: SimEnv(task, address, cameras=cameras)], autoreset_mode=AutoresetMode.NEXT_STEP)
+    options = {"address": address, "cameras": cameras, "privileged": mode is AutoresetMode.SAME_STEP}
+    ours = gymnasium.make_vec(f"freerein/{task}-v0", num_envs=1, autoreset_mode=mode, **options)
+    theirs = SyncVectorEnv([lambda: SimEnv(task, **options)], autoreset_mode=mode)
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
     assert ours.metadata == theirs.metadata
     assert data_equivalence(ours.reset(seed=5), theirs.reset(seed=5), exact=True)
     ours.action_space.seed(5)
@@ -505,28 +507,6 @@ def test_gymnasiums_limit_of_steps_is_one_of_timesteps(address: str, service: Si
         SimVectorEnv("slide", address, num_envs=1, max_episode_steps=3, episode_timesteps=3)
     with pytest.raises(InvalidInput, match="SAME_STEP or NEXT_STEP"):
         SimVectorEnv("slide", address, num_envs=1, autoreset_mode=AutoresetMode.DISABLED)
-
-
-@pytest.mark.parametrize("cameras", [("wrist",), ("front", "wrist")], ids=["box", "dict"])
-@pytest.mark.parametrize("task", TASKS)
-def test_a_vector_of_one_is_what_gymnasium_makes_of_one_environment(
-    address: str, task: str, cameras: tuple[str, ...]
-) -> None:
-    def make() -> SimEnv:
-        return SimEnv(task, address, cameras=cameras, privileged=True)
-
-    ours = SimVectorEnv(task, address, num_envs=1, cameras=cameras, privileged=True)
-    theirs = SyncVectorEnv([make], autoreset_mode=AutoresetMode.SAME_STEP)
-    assert ours.observation_space == theirs.observation_space
-    assert ours.action_space == theirs.action_space
-    assert ours.metadata == theirs.metadata
-    assert data_equivalence(ours.reset(seed=5), theirs.reset(seed=5), exact=True)
-    ours.action_space.seed(5)
-    for _ in range(3 * STEPS):
-        actions = ours.action_space.sample()
-        assert data_equivalence(ours.step(actions), theirs.step(actions), exact=True)
-    ours.close()
-    theirs.close()
 
 
 def test_where_an_episode_ends_the_next_begins_and_the_final_observation_is_in_info(address: str) -> None:

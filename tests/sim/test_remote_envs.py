@@ -51,7 +51,6 @@ def test_every_task_that_comes_with_freerein_has_an_id() -> None:
     ("task", "steps", "conditions"),
     [
         ("grid", 200, ("noise-10", "warm")),
-        ("blocks.scatter", 8, ()),
         ("blocks", 5, ("camera-5cm", "blocks-3")),
     ],
 )
@@ -98,31 +97,6 @@ def test_an_action_is_held_for_a_timestep_at_least(address: str) -> None:
     with pytest.raises(InvalidInput, match="at least 1 timestep") as refusal:
         SimEnv("grid", address, token=TOKEN, action_repeat=0)
     assert refusal.value.field == "action_repeat"
-
-
-def test_one_environment_is_the_first_of_a_vector_of_one(address: str) -> None:
-    with SimEnv("grid", address, token=TOKEN) as env:
-        envs = SimVectorEnv("grid", address, num_envs=1, token=TOKEN)
-        observation, (observations, _) = env.reset(seed=9)[0], envs.reset(seed=9)
-        np.testing.assert_array_equal(observation, observations[0])
-        env.action_space.seed(9)
-        for _ in range(60):
-            action = env.action_space.sample()
-            observation, _, terminated, truncated, _ = env.step(action)
-            observations, *_, info = envs.step(np.array([action]))
-            if terminated or truncated:
-                np.testing.assert_array_equal(observation, info["final_obs"][0])
-                observation, _ = env.reset()
-            np.testing.assert_array_equal(observation, observations[0])
-        envs.close()
-
-
-def test_without_privilege_there_is_no_truth_and_no_reward(address: str) -> None:
-    with SimEnv("grid", address, token=TOKEN) as env:
-        _, info = env.reset(seed=1)
-        assert info == {"diverged": False}
-        _, reward, _, _, info = env.step(0)
-        assert (reward, info) == (0.0, {"diverged": False})
 
 
 def test_errors_of_the_service_say_what_to_mend(address: str) -> None:

@@ -55,9 +55,7 @@ def asked_for(tree: Path, kind: str, *, missing: tuple[str, ...]) -> set[str]:
     [
         ("dev", (), set()),
         ("dev", ("OSMesa",), {"libosmesa6"}),
-        ("dev", ("EGL",), {"libegl1", "libgl1"}),
         ("dev", ("EGL", "OSMesa"), {"libegl1", "libgl1", "libosmesa6"}),
-        ("run", ("OSMesa",), set()),
         ("run", ("EGL",), set()),
         ("run", ("EGL", "OSMesa"), {"libegl1", "libgl1"}),
     ],

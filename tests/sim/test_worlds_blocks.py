@@ -10,7 +10,7 @@ from freerein_sim.worlds.blocks.goals import GOAL_RELATIONS, BlockGoal
 from freerein_sim.worlds.blocks.relations import BLOCK_M, BlockRelation, holds, is_related, is_visible
 from freerein_sim.worlds.blocks.simulation import BlocksWorld
 from freerein_sim.worlds.blocks.spec import COLOURS
-from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
+from freerein_sim.worlds.episodes import RecordedEpisode, record_expert
 from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import World
 
@@ -29,9 +29,7 @@ def begin(name: str, seed: int = 0) -> World:
 
 
 def show(world: World, seed: int, skills: tuple[str, ...]) -> RecordedEpisode:
-    rng = np.random.default_rng(seed)
-    world.reset(rng, recipe=skills)
-    return record_episode(world, world.expert(skills, rng), cameras=(), max_steps=world.spec.max_episode_steps)
+    return record_expert(world, skills, np.random.default_rng(seed))
 
 
 def tamper(world: World, offset: int, value: float) -> bytes:
@@ -164,16 +162,15 @@ def test_the_blocks_of_a_goal_begin_apart_within_their_intervals_in_either_order
 @pytest.mark.parametrize("relation", ["left-of", "right-of", "on-top-of"])
 def test_the_expert_reaches_goals_from_unseen_starts_among_four_blocks(relation: str) -> None:
     with closing(build(BY_NAME[f"blocks.green-{relation}-yellow"], ("start-unseen", "blocks-4"))) as world:
-        for seed in range(10):
+        for seed in range(5):
             assert show(world, seed, ("move-green",)).success
             assert world.truth().success
 
 
-@pytest.mark.parametrize("count", [2, 4])
-def test_starts_on_the_way_hold_the_first_block_or_are_near_it_and_nothing_falls_or_is_pushed_far(count: int) -> None:
+def test_starts_on_the_way_hold_the_first_block_or_are_near_it_and_nothing_falls_or_is_pushed_far() -> None:
     rng, still = np.random.default_rng(0), np.zeros(3, np.float32)
     is_held, distances = [], []
-    with closing(build(BY_NAME["blocks.green-left-of-yellow"], ("start-on-the-way", f"blocks-{count}"))) as world:
+    with closing(build(BY_NAME["blocks.green-left-of-yellow"], ("start-on-the-way", "blocks-4"))) as world:
         for _ in range(150):
             world.reset(rng)
             before = {colour: world.position(colour) for colour in world.visible_colours}
@@ -183,7 +180,7 @@ def test_starts_on_the_way_hold_the_first_block_or_are_near_it_and_nothing_falls
                 world.step(still)
             assert all(np.abs(world.position(colour) - place).max() < 0.03 for colour, place in before.items())
 
-    assert len(before) == count
+    assert len(before) == 4
     assert 0.23 < np.mean(is_held) < 0.43
     assert 0.4 < np.mean(np.less(distances, 0.08)) < 0.65
 
@@ -212,7 +209,7 @@ def test_the_expert_moves_every_named_block_and_no_other() -> None:
     rng = np.random.default_rng(0)
     with closing(begin("blocks")) as world:
         assert isinstance(world, BlocksWorld)
-        for seed in range(12):
+        for seed in range(6):
             skills = tuple(rng.permutation(world.spec.skills)[: rng.integers(2, 5)].tolist())
             world.reset(np.random.default_rng(seed))
             before = {colour: world.position(colour) for colour in COLOURS}

@@ -61,23 +61,23 @@ def look_without_parked(state: np.ndarray, camera: str, *, height: int, width: i
 
 def test_two_three_and_four_blocks_are_on_show_equally_often() -> None:
     rng = np.random.default_rng(0)
-    drawn = Counter(len(shown(initial_states.scatter(rng))) for _ in range(3000))
+    drawn = Counter(len(shown(initial_states.scatter(rng))) for _ in range(1200))
 
     assert set(drawn) == {2, 3, 4}
-    assert all(0.9 < count / 1000 < 1.1 for count in drawn.values())
+    assert all(0.9 < count / 400 < 1.1 for count in drawn.values())
 
 
 def test_every_pair_of_colours_is_on_show_equally_often() -> None:
-    drawn = Counter(on_show(start.blocks) for start in draw(6000, count=2))
+    drawn = Counter(on_show(start.blocks) for start in draw(3000, count=2))
 
     assert set(drawn) == set(combinations(range(len(COLOURS)), 2))
-    assert all(0.9 < count / 1000 < 1.1 for count in drawn.values())
+    assert all(0.9 < count / 500 < 1.1 for count in drawn.values())
 
 
 @pytest.mark.parametrize(("height", "width"), [(256, 256), (8, 256)], ids=["square", "as wide as can be"])
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_pictures_are_those_of_the_blocks_on_show_alone_to_the_bit(camera: str, height: int, width: int) -> None:
-    for seed in range(3):
+    for seed in range(2):
         with closing(begin(seed)) as world:
             seen = world.render(camera, height=height, width=width)
             state = world.truth().state
@@ -86,7 +86,7 @@ def test_pictures_are_those_of_the_blocks_on_show_alone_to_the_bit(camera: str, 
 
 
 def test_the_relations_of_the_goal_tasks_and_blocks_in_hand_occur_often() -> None:
-    drawn = draw(6000, count=2)
+    drawn = draw(3000, count=2)
     seen = Counter(
         relation
         for start in drawn
@@ -116,7 +116,7 @@ def test_nothing_begins_inside_anything_else(count: int) -> None:
 
 
 def test_blocks_are_where_the_gripper_works_and_half_are_near_one_another() -> None:
-    pairs = np.stack([shown(start) for start in draw(6000, count=2)])
+    pairs = np.stack([shown(start) for start in draw(3000, count=2)])
     distances = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1)
 
     assert (pairs[..., 0] == 0).all()

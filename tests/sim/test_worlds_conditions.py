@@ -3,7 +3,6 @@
 import io
 from contextlib import closing
 from dataclasses import replace
-from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -99,7 +98,7 @@ def test_a_jpeg_is_of_quality_30() -> None:
 def test_effects_apply_in_one_order_whatever_the_order_of_their_names() -> None:
     chosen = ("noise-10", "hue-plus-10", "jpeg")
     frames = []
-    for order in permutations(chosen):
+    for order in (chosen, chosen[::-1]):
         with closing(begin("grid", *order)) as world:
             frames.append(world.render("top", height=33, width=30))
 

@@ -6,8 +6,8 @@ from freerein import metrics
 from freerein_sim.worlds.dial import TASKS, ik, keypad, scene
 from freerein_sim.worlds.dial.predicates import PREDICATES
 from freerein_sim.worlds.dial.spec import RECIPES, SPEC
-from freerein_sim.worlds.episodes import record_episode
-from freerein_sim.worlds.world import World, expert_of
+from freerein_sim.worlds.episodes import record_expert
+from freerein_sim.worlds.world import World
 
 TASK, UNEVEN = TASKS
 STILL = np.zeros(SPEC.action.size, np.float32)
@@ -79,10 +79,7 @@ def test_uneven_presses_are_some_many_times_as_long_as_others() -> None:
         for seed in range(7):
             rng = np.random.default_rng(seed)
             recipe = RECIPES.draw(rng, SPEC.skills, fewest=5, most=5)
-            world.reset(rng, recipe=recipe)
-            shown = record_episode(
-                world, expert_of(world)(recipe, rng), cameras=(), max_steps=UNEVEN.spec.max_episode_steps
-            )
+            shown = record_expert(world, recipe, rng)
             steps = np.diff([*metrics.run_starts(shown.labels), len(shown.labels)])
             ratios.append(steps.max() / steps.min())
 

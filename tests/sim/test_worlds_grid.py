@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from freerein.errors import InvalidInput
-from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
+from freerein_sim.worlds.episodes import RecordedEpisode, record_expert
 from freerein_sim.worlds.grid import CELL_PX, COLOURS, FIELD, PICK_UP, SPEC, GridWorld
 
 UP, DOWN, LEFT, RIGHT = (np.array([choice]) for choice in range(4))
@@ -22,9 +22,7 @@ def cell(world: GridWorld, row: int, column: int) -> list[int]:
 
 
 def show(seed: int, skills: tuple[str, ...]) -> RecordedEpisode:
-    world, rng = GridWorld(indicator=True), np.random.default_rng(seed)
-    world.reset(rng, recipe=skills)
-    return record_episode(world, world.expert(skills, rng), cameras=SPEC.cameras, max_steps=50)
+    return record_expert(GridWorld(indicator=True), skills, np.random.default_rng(seed))
 
 
 def test_moves_go_one_cell_and_stop_at_the_edge() -> None:

@@ -21,7 +21,7 @@ NAME = "sim"
 def build(
     settings: SimSettings, limits: Limits, _metrics: Metrics, health: Health, *, start_child: StartChild = spawn
 ) -> Service:
-    """Returns the service; what the environment says of rendering ends the process here where it is wrong."""
+    """Returns the service. Raises ServiceError where the environment has a wrong setting of rendering."""
     check_rendering()
     pool = WorkerPool(start_child, workers=settings.sim_workers, demonstrators=settings.sim_workers)
     core = SimCore(pool, max_sessions=settings.sim_sessions, max_envs=settings.sim_envs)

@@ -11,14 +11,7 @@ from gymnasium import spaces
 
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.envs.leased_session import LeasedSession
-from freerein.errors import (
-    FailedPrecondition,
-    InvalidInput,
-    Overloaded,
-    SessionNotFound,
-    StepOutOfOrder,
-    WorkerLost,
-)
+from freerein.errors import FailedPrecondition, InvalidInput, Overloaded, SessionNotFound, StepOutOfOrder, WorkerLost
 from freerein.ports import PORTS
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (

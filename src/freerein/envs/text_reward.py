@@ -1,4 +1,4 @@
-"""Rewards from language: what the reward service says of an environment's frames and a goal text."""
+"""Rewards from language: the reward service's answers to an environment's frames and a goal text."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack

@@ -6,27 +6,12 @@ import numpy as np
 
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import Camera, Trajectory
-from freerein.types.sim import (
-    DemonstrateRequest,
-    DemonstrateResponse,
-    DrawRecipesRequest,
-    DrawRecipesResponse,
-    Recipe,
-)
-from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
+from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, DrawRecipesRequest, DrawRecipesResponse, Recipe
+from freerein_sim.worlds.episodes import RecordedEpisode, record_episode, record_expert
 from freerein_sim.worlds.generators import generator
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
 from freerein_sim.worlds.recipes import recipe_lengths
-from freerein_sim.worlds.world import (
-    ScriptedPolicy,
-    TaskDefinition,
-    World,
-    WorldSpec,
-    expert_of,
-    no_expert,
-    sized_cameras,
-    skill_indices,
-)
+from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec, no_expert, sized_cameras, skill_indices
 
 _MAX_TRIES = 10
 
@@ -69,13 +54,10 @@ def _act(
     world: World, recipe: Sequence[str] | None, views: Sequence[Camera], rng: np.random.Generator
 ) -> RecordedEpisode:
     """Records the expert at a recipe, or random actions where there is none."""
-    policy: ScriptedPolicy
     if recipe is not None:
-        world.reset(rng, recipe=recipe)
-        policy = expert_of(world)(recipe, rng)
-    else:
-        world.reset(rng)
-        policy = SmoothRandomPolicy(world.spec.action, rng)
+        return record_expert(world, recipe, rng, cameras=views)
+    world.reset(rng)
+    policy = SmoothRandomPolicy(world.spec.action, rng)
     return record_episode(world, policy, cameras=views, max_steps=world.spec.max_episode_steps)
 
 

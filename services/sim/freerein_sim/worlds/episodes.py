@@ -1,4 +1,4 @@
-"""Records one episode of a scripted policy."""
+"""Records one episode of a scripted policy, such as the expert."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.types.common import Camera
-from freerein_sim.worlds.world import Action, Frame, ScriptedPolicy, World
+from freerein_sim.worlds.world import Action, Frame, ScriptedPolicy, World, expert_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +28,15 @@ class RecordedEpisode:
     labels: npt.NDArray[np.int64]
     terminated: npt.NDArray[np.bool_]
     success: bool
+
+
+def record_expert(
+    world: World, recipe: Sequence[str], rng: np.random.Generator, *, cameras: Sequence[Camera] = ()
+) -> RecordedEpisode:
+    """Resets a world, and records its expert at a recipe; an empty one means the world's own."""
+    world.reset(rng, recipe=recipe)
+    expert = expert_of(world)(recipe, rng)
+    return record_episode(world, expert, cameras=cameras, max_steps=world.spec.max_episode_steps)
 
 
 def record_episode(

@@ -1,4 +1,4 @@
-"""What every MuJoCo world shares: compiled scenes, and their simulation, snapshots and rendering."""
+"""Compiled MuJoCo scenes, and their simulation, snapshots and rendering."""
 
 import hashlib
 import importlib.util
@@ -122,7 +122,7 @@ class MujocoSimulation:
 
 
 class MujocoWorld:
-    """What worlds have of their simulation, and an expert that its maker brings along: no world imports its own.
+    """Base of worlds over a `MujocoSimulation`. Experts are passed in: they import worlds, never the other way.
 
     Args:
         spec: The task's spec.

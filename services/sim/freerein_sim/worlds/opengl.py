@@ -20,7 +20,7 @@ def check_mujoco_gl() -> None:
 
 
 def check_rendering() -> None:
-    """Makes an OpenGL context in a child process, where the environment says how: what it says may be wrong.
+    """Makes an OpenGL context in a child process, if the environment sets how; the setting may be wrong.
 
     Raises:
         FailedPrecondition: None can be made.

@@ -173,7 +173,7 @@ class World(UnsavedWorld, Protocol):
 
     @property
     def steps(self) -> int | None:
-        """Steps since the reset; None in a world whose snapshots do not tell them."""
+        """Steps since the reset; None in a world whose snapshots do not record them."""
 
     def snapshot(self) -> bytes:
         """Returns the complete state; after `restore` the same actions give the same bits."""

@@ -9,14 +9,7 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein_sim.worlds.blocks.goals import BlockGoal
-from freerein_sim.worlds.blocks.relations import (
-    BLOCK_M,
-    PLACED_ASIDE_M,
-    BlockRelation,
-    Position,
-    is_on,
-    is_on_table,
-)
+from freerein_sim.worlds.blocks.relations import BLOCK_M, PLACED_ASIDE_M, BlockRelation, Position, is_on, is_on_table
 from freerein_sim.worlds.blocks.simulation import BlocksWorld
 from freerein_sim.worlds.world import LabelledAction
 

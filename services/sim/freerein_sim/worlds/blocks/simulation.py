@@ -15,14 +15,7 @@ from freerein_sim.worlds.blocks.spec import COLOURS, CONTROL_DT_S, FINGER_STEP_M
 from freerein_sim.worlds.blocks.variation import Variation
 from freerein_sim.worlds.camera_moves import CameraMove
 from freerein_sim.worlds.mujoco_world import MakeWorldExpert, MujocoWorld
-from freerein_sim.worlds.world import (
-    Action,
-    GroundTruth,
-    StepResult,
-    WorldSpec,
-    check_actions,
-    skill_indices,
-)
+from freerein_sim.worlds.world import Action, GroundTruth, StepResult, WorldSpec, check_actions, skill_indices
 
 _SUBSTEPS = round(CONTROL_DT_S / scene.TIMESTEP_S)
 _FALLEN_M = -0.01

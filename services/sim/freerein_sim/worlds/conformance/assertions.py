@@ -1,4 +1,4 @@
-"""What checks assert, as sentences."""
+"""Assertions of checks, as sentences."""
 
 from collections.abc import Callable
 

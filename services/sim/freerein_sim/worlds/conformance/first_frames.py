@@ -1,4 +1,4 @@
-"""The check that the start of an episode does not tell which skills will follow.
+"""The check that the first frame of an episode does not reveal which skills follow.
 
 Else tags could be learned without looking at what is done, and skills would not be found. Two tests look at coarse
 frames: a kernel classifier finds what the whole picture tells, a search for the most telling pixel what a corner tells.
@@ -25,7 +25,7 @@ _VARIES = 1e-3
 
 
 def hides_its_recipe_at_the_start(task: TaskDefinition) -> None:
-    """First frames of all cameras tell the tags no better than by chance."""
+    """First frames of all cameras predict the tags no better than chance."""
     frames, recipes = _starts(task)
     for test in first_frame_tests(frames, recipes, rng=np.random.default_rng(SEED)):
         require(

@@ -1,4 +1,4 @@
-"""Checks of what a world takes and returns."""
+"""Checks of a world's inputs and outputs."""
 
 from contextlib import closing
 from functools import partial

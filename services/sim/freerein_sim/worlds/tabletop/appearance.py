@@ -1,4 +1,4 @@
-"""What varies between episodes and is not MuJoCo's state: sizes, gray levels, light and camera.
+"""The part of an episode's look that MuJoCo's state does not hold: sizes, gray levels, light and camera.
 
 An appearance is one vector of numbers, uniform between limits, which a world writes into its own copy of the model.
 """

@@ -1,4 +1,4 @@
-"""Initial states of hand and things, as pure functions of a generator: nothing in them tells which skills follow."""
+"""Initial states of hand and things, as pure functions of a generator. They do not depend on the skills that follow."""
 
 from collections.abc import Collection
 from dataclasses import dataclass

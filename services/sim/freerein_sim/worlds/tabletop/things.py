@@ -1,4 +1,4 @@
-"""What stands on the table: five things to grasp, and for each the task that it is used in and what it is used on.
+"""Things on the table: five to grasp, each with the task that uses it and the thing that it is used on.
 
 Lengths are nominal, in metres; each episode scales every thing as a whole.
 """
