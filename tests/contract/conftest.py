@@ -23,6 +23,7 @@ from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest.app import make_app
 from freerein.serving.rest.schemas import schema_of
+from freerein.serving.rest.wording import with_paths
 
 
 class Transport(Protocol):
@@ -45,8 +46,23 @@ class Transports:
     def all(self) -> tuple[Transport, ...]:
         return self.core, self.rest, self.grpc
 
+    async def outcome(self, name: str, *requests: object) -> Any:
+        """Returns what a request, or one for each transport, comes to over all: replies without timing, or an error."""
+        each = requests * 3 if len(requests) == 1 else requests
+        found = [await _outcome(*pair, self.method(name)) for pair in zip(self.all, each, strict=True)]
+        assert found[0] == found[1] == found[2]
+        return found[0]
+
     def method(self, name: str) -> Method:
         return next(method for method in self.methods if method.name == name)
+
+
+async def _outcome(transport: Transport, request: object, method: Method) -> object:
+    try:
+        responses = await transport(method, request)
+    except ServiceError as error:
+        return error.code, error.field, with_paths(error.detail), with_paths(error.hint)
+    return [{k: v for k, v in wire.to_json(response).items() if k != "timing"} for response in responses]
 
 
 Build = Callable[[Path, Health], Service]

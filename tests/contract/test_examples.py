@@ -1,9 +1,11 @@
 """The examples of the OpenAPI documents are answered as they stand, as JSON and as multipart."""
 
+import importlib
 import io
 import json
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,28 +37,15 @@ def build_sim(_data_dir: Path, health: Health) -> Service:
     return build(SimSettings(sim_workers=1), Limits(), Metrics(), health)
 
 
-def build_imitation(data_dir: Path, health: Health) -> Service:
-    from freerein.serving.learned import LearnedSettings
-    from freerein_imitation.__main__ import build
+def build_learned(name: str, data_dir: Path, health: Health) -> Service:
+    from freerein_reward.settings import RewardSettings  # whose fields the others have, but for one
 
-    return build(LearnedSettings(data_dir=data_dir, device="cpu"), Limits(), Metrics(), health)
-
-
-def build_reward(data_dir: Path, health: Health) -> Service:
-    from freerein_reward.__main__ import build
-    from freerein_reward.settings import RewardSettings
-
-    return build(RewardSettings(data_dir=data_dir, device="cpu"), Limits(), Metrics(), health)
+    build = importlib.import_module(f"freerein_{name}.__main__").build
+    service: Service = build(RewardSettings(data_dir=data_dir, device="cpu"), Limits(), Metrics(), health)
+    return service
 
 
-def build_segmentation(data_dir: Path, health: Health) -> Service:
-    from freerein.serving.learned import LearnedSettings
-    from freerein_segmentation.__main__ import build
-
-    return build(LearnedSettings(data_dir=data_dir, device="cpu"), Limits(), Metrics(), health)
-
-
-BUILD = {"sim": build_sim, "imitation": build_imitation, "reward": build_reward, "segmentation": build_segmentation}
+BUILD = {"sim": build_sim, **{name: partial(build_learned, name) for name in SHIPPED}}
 
 
 class Door:
