@@ -2,11 +2,13 @@
 
 `freerein.serving` maps these classes to HTTP and gRPC, `freerein.clients` maps them back. `detail` is one sentence that
 says what was expected and what was received, `hint` says how to fix it. Neither holds a path, a traceback, a repr or a
-copy of the input.
+copy of the input but for a number or a `quoted` text.
 """
 
 import sys
 from collections.abc import Iterator
+
+_LONGEST = 64
 
 
 class ServiceError(Exception):
@@ -47,6 +49,26 @@ class InvalidInput(ServiceError):
     """A value of the request is invalid."""
 
     code, http_status, grpc_status = "invalid_input", 422, "INVALID_ARGUMENT"
+
+
+def must_be(name: str, rule: str, got: object, *, field: str | None = None, hint: str = "") -> InvalidInput:
+    """Returns the error of a value that is not as it must be, such as: `fps` must be 1 to 1000; got 0.
+
+    Args:
+        name: Name of the field; in words where `field` is given.
+        rule: What was expected.
+        got: What was received: a number, words, or a `quoted` text.
+        field: Dotted name of the field, or empty, where `name` is not.
+        hint: How to fix it.
+    """
+    subject, field = (f"`{name}`", name) if field is None else (name, field)
+    return InvalidInput(f"{subject} must be {rule}; got {got}.", field=field, hint=hint)
+
+
+def quoted(text: str) -> str:
+    """Returns a text of another program for an error: printable, and of at most 64 characters."""
+    printable = "".join(each if each.isprintable() and each != "`" else "?" for each in text[: _LONGEST + 1])
+    return f"`{printable if len(text) <= _LONGEST else printable[:_LONGEST] + '...'}`"
 
 
 class OutputNotFinite(InvalidInput):

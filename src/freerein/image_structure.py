@@ -7,7 +7,7 @@ profile of 1 KiB unpacks to 1 MiB.
 import re
 import struct
 
-from freerein.errors import InvalidInput
+from freerein.errors import must_be
 from freerein.types.common import Encoding
 
 MAX_SMALL_PARTS = 64  # chunks or segments; more must have a KiB each on average
@@ -45,11 +45,8 @@ def checked_structure(data: bytes, encoding: Encoding, *, field: str) -> bytes:
 
 def _check_count(count: int, most: int, unit: str, field: str) -> None:
     if count > most:
-        raise InvalidInput(
-            f"`{field}` may have at most {most} {unit} in a file of its size; one has more.",
-            field=field,
-            hint="Open and save the image again, without metadata.",
-        )
+        rule = f"of at most {most} {unit} in a file of its size"
+        raise must_be(field, rule, "more", hint="Open and save the image again, without metadata.")
 
 
 def _without_metadata(data: bytes, most: int, field: str) -> bytes:

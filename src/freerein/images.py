@@ -17,7 +17,7 @@ import PIL.Image
 import PIL.ImageOps
 import PIL.JpegImagePlugin
 
-from freerein.errors import InvalidInput, ServiceError, UnsupportedMedia
+from freerein.errors import InvalidInput, ServiceError, UnsupportedMedia, must_be
 from freerein.image_structure import checked_structure
 from freerein.types.common import Encoding, Image
 
@@ -29,6 +29,7 @@ _RAW_CHANNELS: dict[Encoding, int] = {"raw_rgb8": 3, "raw_gray8": 1}
 _PILLOW_FORMATS: dict[Encoding, str] = {"png": "PNG", "jpeg": "JPEG", "webp": "WEBP"}
 _PNG_BIT_DEPTH = 24  # offset in a PNG file; checked because Pillow silently reduces 16-bit colour
 _ORIENTATIONS_ON_THEIR_SIDE = (5, 6, 7, 8)
+_SCALE_DOWN = "Scale the image down first."
 _SIGNATURES: tuple[tuple[int, bytes, Encoding], ...] = (
     (0, b"\x89PNG\r\n\x1a\n", "png"),
     (0, b"\xff\xd8\xff", "jpeg"),
@@ -95,12 +96,9 @@ def pixel_count(image: Image, *, field: str = "images") -> int:
 def check_frames(frames: npt.NDArray[Any], *, axis: str) -> npt.NDArray[np.uint8]:
     """Returns the `frames` of a request if they are uint8 (axis, H, W, 1 or 3) and not empty; else InvalidInput."""
     if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[3] not in (1, 3) or 0 in frames.shape:
-        raise InvalidInput(
-            f"`frames` must be UINT8 of shape ({axis}, H, W, C), {axis} at least 1 and C 1 or 3; "
-            f"got {frames.dtype} {frames.shape}.",
-            field="frames",
-            hint="Put channels last, and scale floats to 0..255.",
-        )
+        rule = f"UINT8 of shape ({axis}, H, W, C), {axis} at least 1 and C 1 or 3"
+        hint = "Put channels last, and scale floats to 0..255."
+        raise must_be("frames", rule, f"{frames.dtype} {frames.shape}", hint=hint)
     _check_pixels(frames.shape[1], frames.shape[2], "frames")
     return frames
 
@@ -128,9 +126,7 @@ def check_one_form(*, has_frames: bool, has_images: bool) -> None:
 def check_total_pixels(total: int, *, hint: str, field: str = "images") -> None:
     """Raises InvalidInput when the images in a request's field have too many pixels together."""
     if total > MAX_REQUEST_PIXELS:
-        raise InvalidInput(
-            f"`{field}` must have at most {MAX_REQUEST_PIXELS} pixels in total; got {total}.", field=field, hint=hint
-        )
+        raise must_be(field, f"at most {MAX_REQUEST_PIXELS} pixels in total", total, hint=hint)
 
 
 def encode(pixels: npt.NDArray[np.uint8], *, encoding: Encoding = "png", camera: str = "") -> Image:
@@ -161,11 +157,8 @@ def _decode_raw(image: Image, field: str) -> npt.NDArray[np.uint8]:
     channels = _RAW_CHANNELS[image.encoding]
     expected = image.height * image.width * channels
     if len(image.data) != expected:
-        raise InvalidInput(
-            f"`{field}` must hold height x width x {channels} = {expected} bytes; got {len(image.data)}.",
-            field=field,
-            hint="Send the rows without padding.",
-        )
+        rule = f"height x width x {channels} = {expected} bytes"
+        raise must_be(field, rule, len(image.data), hint="Send the rows without padding.")
     return np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, channels)
 
 
@@ -187,12 +180,9 @@ def _upright_size(opened: PIL.Image.Image, encoding: Encoding) -> tuple[int, int
 
 def _check_size(found: tuple[int, int], expected: tuple[int, int] | None, field: str) -> None:
     if expected is not None and found != expected:
-        raise InvalidInput(
-            f"`{field}` must have the expected height and width, {expected[0]} x {expected[1]}; "
-            f"got {found[0]} x {found[1]}.",
-            field=field,
-            hint="Scale the image. Leave height and width 0 for encoded files.",
-        )
+        rule = f"of the expected height and width, {expected[0]} x {expected[1]}"
+        hint = "Scale the image. Leave height and width 0 for encoded files."
+        raise must_be(field, rule, f"{found[0]} x {found[1]}", hint=hint)
 
 
 @contextmanager
@@ -215,7 +205,8 @@ def _open(image: Image, field: str) -> Iterator[PIL.Image.Image]:
     except (PIL.Image.DecompressionBombError, PIL.Image.DecompressionBombWarning):
         raise _too_many_pixels(field) from None
     except Exception:  # decoders raise any type, and their messages may hold memory addresses
-        raise _corrupt(field) from None
+        hint = "Open and save the image again."
+        raise must_be(field, "complete image files", "one that is corrupt or truncated", hint=hint) from None
 
 
 def _lazily_opened(data: bytes, encoding: Encoding) -> PIL.Image.Image:
@@ -225,48 +216,22 @@ def _lazily_opened(data: bytes, encoding: Encoding) -> PIL.Image.Image:
 
 
 def _check_kind(opened: PIL.Image.Image, image: Image, field: str) -> None:
-    if getattr(opened, "n_frames", 1) != 1:
-        raise InvalidInput(
-            f"`{field}` must be still images; got {getattr(opened, 'n_frames', 1)} frames in one file.",
-            field=field,
-            hint="Send one image per timestep.",
-        )
+    count = getattr(opened, "n_frames", 1)
+    if count != 1:
+        raise must_be(field, "still images", f"{count} frames in one file", hint="Send one image per timestep.")
     if image.encoding == "png" and image.data[_PNG_BIT_DEPTH] > 8:
-        raise InvalidInput(
-            f"`{field}` must have 8 bits per channel; got more.",
-            field=field,
-            hint="Scale the values to 0..255 and save again.",
-        )
+        raise must_be(field, "of 8 bits per channel", "more", hint="Scale the values to 0..255 and save again.")
 
 
 def _check_pixels(height: int, width: int, field: str) -> None:
     if height < 1 or width < 1:
-        raise InvalidInput(
-            f"`{field}` must have a height and width of at least 1 pixel; got {height} x {width}.",
-            field=field,
-            hint="Raw images need height and width.",
-        )
+        rule = "at least 1 pixel high and wide"
+        raise must_be(field, rule, f"{height} x {width}", hint="Raw images need height and width.")
     if max(height, width) > MAX_SIDE:
-        raise InvalidInput(
-            f"`{field}` may have at most {MAX_SIDE} rows and columns each; got {height} x {width}.",
-            field=field,
-            hint="Scale the image down first.",
-        )
+        raise must_be(field, f"of at most {MAX_SIDE} rows and columns each", f"{height} x {width}", hint=_SCALE_DOWN)
     if height * width > MAX_PIXELS:
         raise _too_many_pixels(field)
 
 
 def _too_many_pixels(field: str) -> InvalidInput:
-    return InvalidInput(
-        f"`{field}` may have at most {MAX_PIXELS} pixels each; got more.",
-        field=field,
-        hint="Scale the image down first.",
-    )
-
-
-def _corrupt(field: str) -> InvalidInput:
-    return InvalidInput(
-        f"`{field}` must be complete image files; one is corrupt or truncated.",
-        field=field,
-        hint="Open and save the image again.",
-    )
+    return must_be(field, f"of at most {MAX_PIXELS} pixels each", "more", hint=_SCALE_DOWN)

@@ -4,12 +4,11 @@ import csv
 import io
 import re
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be, quoted
 
 _MOST = float(np.finfo(np.float32).max)
 _EXAMPLE = "For example the lines 0.5,-0.1 and 0.5,0; a first line such as x,y may name the numbers."
@@ -25,7 +24,7 @@ def read_actions(table: bytes, *, file: str) -> tuple[tuple[str, ...], npt.NDArr
     numbers, a name is missing, or the first line counts the columns.
     """
     names, rows = _read(table, file)
-    return names, np.array([row.numbers for row in rows])
+    return names, np.array([numbers for _, numbers in rows])
 
 
 def read_choices(table: bytes, *, file: str, choices: int) -> npt.NDArray[np.int64]:
@@ -34,38 +33,28 @@ def read_choices(table: bytes, *, file: str, choices: int) -> npt.NDArray[np.int
     Raises InvalidInput as `read_actions`, and with line and column where a number is not among 0 to `choices` - 1.
     """
     _, rows = _read(table, file)
-    for row in rows:
-        for column, number in enumerate(row.numbers, start=1):
+    for line, numbers in rows:
+        for column, number in enumerate(numbers, start=1):
             if number not in range(choices):
-                raise InvalidInput(
-                    f"Line {row.line}, column {column}, of `{file}` must be a whole number in [0, {choices - 1}]; "
-                    "it is not.",
-                    field="actions",
-                    hint="The model's actions are choices, counted from 0.",
-                )
-    return np.array([row.numbers for row in rows], np.int64)
+                place, rule = f"Line {line}, column {column}, of `{file}`", f"a whole number in [0, {choices - 1}]"
+                hint = "The model's actions are choices, counted from 0."
+                raise must_be(place, rule, f"{number:g}", field="actions", hint=hint)
+    return np.array([numbers for _, numbers in rows], np.int64)
 
 
-class _Row(NamedTuple):
-    """The numbers of a line, which is counted from 1."""
-
-    line: int
-    numbers: list[float]
-
-
-def _read(table: bytes, file: str) -> tuple[tuple[str, ...], list[_Row]]:
-    """Returns the names of a first line that has no numbers, and the numbers of the other lines, as many in each."""
+def _read(table: bytes, file: str) -> tuple[tuple[str, ...], list[tuple[int, list[float]]]]:
+    """Returns the names of a first line without numbers; of the others the place and the numbers, as many in each."""
     lines = _lines(table, file)
     number, first = lines[0] if lines else (1, [])
     names = () if any(map(_is_number, first)) else tuple(name.strip() for name in first)
     _check_names(number, first, names, file)
-    rows = [_Row(line, _floats(line, cells, file)) for line, cells in lines[bool(names) :]]
+    rows = [(line, _floats(line, cells, file)) for line, cells in lines[bool(names) :]]
     if not rows:
         raise _error(f"`{file}` must have the action of an image in each line; it has none", _EXAMPLE)
-    for row in rows:
-        if len(row.numbers) != len(first):
-            expected = f"have {len(first)} numbers, as many as line {number}; it has {len(row.numbers)}"
-            raise _error(f"Line {row.line} of `{file}` must {expected}", _EXAMPLE)
+    for line, numbers in rows:
+        if len(numbers) != len(first):
+            expected = f"have {len(first)} numbers, as many as line {number}; it has {len(numbers)}"
+            raise _error(f"Line {line} of `{file}` must {expected}", _EXAMPLE)
     if not names:
         _check_no_count(lines, file)
     return names, rows
@@ -115,16 +104,12 @@ def _is_number(cell: str) -> bool:
 
 def _floats(line: int, cells: Sequence[str], file: str) -> list[float]:
     """Returns the numbers of a line; raises InvalidInput where one is no finite float32."""
-    numbers = [float(cell) if _is_plain(cell) else np.inf for cell in cells]
-    wrong = next((place for place, number in enumerate(numbers, start=1) if not abs(number) <= _MOST), 0)
-    if wrong:
-        raise _error(f"Line {line}, column {wrong}, of `{file}` must be a finite number; it is not", _EXAMPLE)
-    return numbers
-
-
-def _is_plain(cell: str) -> bool:
-    """Returns whether a cell is a number as other programs write them, too."""
-    return cell.isascii() and "_" not in cell and _is_number(cell)
+    for column, cell in enumerate(cells, start=1):
+        is_plain = cell.isascii() and "_" not in cell and _is_number(cell)  # as other programs write numbers, too
+        if not (is_plain and abs(float(cell)) <= _MOST):
+            place = f"Line {line}, column {column}, of `{file}`"
+            raise must_be(place, "a finite number", quoted(cell), field="actions", hint=_EXAMPLE)
+    return list(map(float, cells))
 
 
 def _error(sentence: str, hint: str) -> InvalidInput:

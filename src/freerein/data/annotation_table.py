@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be, quoted
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Line:
         """Returns a cell that must be a whole number in [least, most]."""
         text = self.cells[column].strip()
         if not (text.isascii() and text.isdigit() and len(text) < 19 and least <= int(text) <= most):
-            raise self.error(column, f"be a whole number in [{least}, {most}]; it is not", "Count from 0.")
+            raise self.error(column, f"be a whole number in [{least}, {most}]; got {quoted(text)}", "Count from 0.")
         return int(text)
 
     def error(self, column: str, expected: str, hint: str) -> InvalidInput:
@@ -36,11 +36,8 @@ def lines(table: bytes, columns: tuple[str, ...], *, hint: str) -> Iterator[Line
     numbered = rows(table, ",")
     _, header = next(numbered, (1, []))
     if [name.strip() for name in header] != list(columns):
-        raise InvalidInput(
-            f"Line 1 must be `{','.join(columns)}`; it is not.",
-            field="header",
-            hint="Columns are separated by commas, in this order.",
-        )
+        hint = "Columns are separated by commas, in this order."
+        raise must_be("Line 1", f"`{','.join(columns)}`", quoted(",".join(header)), field="header", hint=hint)
     for number, cells in numbered:
         yield line(number, cells, columns, hint=hint)
 

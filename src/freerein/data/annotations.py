@@ -21,7 +21,7 @@ from freerein.data.meta import WriterLock
 from freerein.data.reader import Dataset
 from freerein.data.skill_names import SkillNames, normal
 from freerein.data.tags import Tags
-from freerein.errors import FailedPrecondition
+from freerein.errors import FailedPrecondition, quoted
 from freerein.types.segmentation import NO_SKILL
 
 _TAG_COLUMNS = ("trajectory", "skills")
@@ -30,11 +30,7 @@ _SEVERAL_HINT = "Separate skills by `;`, such as reach;pour."
 _OF_TABLE = LabelOptions()
 
 
-def _unnoted(_: str) -> None:
-    """Takes a note that nobody reads."""
-
-
-def tag(root: Path, table: bytes, *, on_note: Callable[[str], None] = _unnoted) -> int:
+def tag(root: Path, table: bytes, *, on_note: Callable[[str], None] = lambda _: None) -> int:
     """Tags trajectories of a dataset with the skills that occur in them; returns how many.
 
     An empty cell takes the tags away. The dataset's skills are afterwards those of its trajectories; while some have
@@ -51,7 +47,8 @@ def tag(root: Path, table: bytes, *, on_note: Callable[[str], None] = _unnoted) 
         InvalidInput: A line is not as above; the error names line and column.
         FailedPrecondition: The dataset is being written.
     """
-    with closing(WriterLock(_existing(root))):
+    Dataset(root)  # where there is none, no lock is made
+    with closing(WriterLock(root)):
         dataset = Dataset(root)
         given = _tags(table, dataset, SkillNames(dataset.spec.skills, on_note))
         _save_tags(root, dataset, given)
@@ -64,7 +61,7 @@ def label(
     *,
     options: LabelOptions = _OF_TABLE,
     with_tags: bool = False,
-    on_note: Callable[[str], None] = _unnoted,
+    on_note: Callable[[str], None] = lambda _: None,
 ) -> int:
     """Stores true labels of a few trajectories, for evaluation only; returns of how many.
 
@@ -83,7 +80,8 @@ def label(
             the error names line and column.
         FailedPrecondition: The dataset is being written, or another tool wrote it.
     """
-    with closing(WriterLock(_existing(root))):
+    Dataset(root)  # where there is none, no lock is made
+    with closing(WriterLock(root)):
         dataset = Dataset(root)
         if meta.read_spec(root) is None:
             raise FailedPrecondition(
@@ -101,12 +99,14 @@ def label(
         numbers = np.array([*map(skills.index, spellings), NO_SKILL], np.int64)
         for index, values in labels.items():
             truth.save(root, index, numbers[values])
-            _note_missing(index, values, on_note)
+            if missing := int(np.sum(values == NO_SKILL)):
+                which = f"{missing} of {len(values)} timesteps of trajectory {index}"
+                on_note(f"{which} have no label: they are not measured.")
     return len(labels)
 
 
 def read_tags(
-    table: bytes, names: Sequence[str], *, known: Iterable[str] = (), on_note: Callable[[str], None] = _unnoted
+    table: bytes, names: Sequence[str], *, known: Iterable[str] = (), on_note: Callable[[str], None] = lambda _: None
 ) -> dict[str, tuple[str, ...]]:
     """Returns the skills of trajectories by name, as `tag` reads those by index; `known` are skills that there are.
 
@@ -130,12 +130,6 @@ def _skills(line: Line, skills: SkillNames) -> tuple[str, ...]:
         return tuple(sorted(set(skills.split(line.cells["skills"]))))
     except ValueError as error:
         raise line.error("skills", str(error), "For example: reach;pour.") from None
-
-
-def _existing(root: Path) -> Path:
-    """Returns the folder of a dataset; raises NotFound where there is none, before a lock is made there."""
-    Dataset(root)
-    return root
 
 
 def _tags(table: bytes, dataset: Dataset, skills: SkillNames) -> dict[int, tuple[str, ...]]:
@@ -176,16 +170,11 @@ def _label_names(
             raise each.line.error(column, str(error), "A label is one skill.") from None
         tagged = dataset.skills[each.trajectory] or dataset.spec.skills
         if not with_tags and name not in tagged:
-            noun = (
-                f"the tags of trajectory {each.trajectory}"
-                if dataset.skills[each.trajectory]
-                else "the dataset's skills"
-            )
-            raise each.line.error(
-                column,
-                f"be among {noun}, {', '.join(tagged) or 'none yet'}; it is not",
-                "Tag the dataset first, or take the tags from the labels: --tags.",
-            )
+            is_tagged = bool(dataset.skills[each.trajectory])
+            known = f"the tags of trajectory {each.trajectory}" if is_tagged else "the dataset's skills"
+            expected = f"be among {known}, {', '.join(tagged) or 'none yet'}; got {quoted(name)}"
+            hint = "Tag the dataset first, or take the tags from the labels: --tags."
+            raise each.line.error(column, expected, hint)
     return names
 
 
@@ -201,12 +190,6 @@ def _labels(
             raise each.line.error(each.columns[0], expected, "Segments are [start, end).")
         values[:] = number
     return labels
-
-
-def _note_missing(index: int, values: npt.NDArray[np.int64], on_note: Callable[[str], None]) -> None:
-    missing = int(np.sum(values == NO_SKILL))
-    if missing:
-        on_note(f"{missing} of {len(values)} timesteps of trajectory {index} have no label: they are not measured.")
 
 
 def _tags_of(segments: Sequence[Segment], names: Mapping[str, str], dataset: Dataset) -> dict[int, tuple[str, ...]]:

@@ -40,19 +40,8 @@ _RESTORE = "Restore the file from a copy; without one, the trajectories before i
 class DatasetSummary:
     """Counts and sizes of a dataset.
 
-    Attributes:
-        spec: Properties that the trajectories share.
-        trajectories: Number of trajectories.
-        frames: Total number of timesteps.
-        duration_s: Total duration in seconds.
-        shortest: Timesteps of the shortest trajectory; 0 for an empty dataset.
-        longest: Timesteps of the longest trajectory.
-        skill_counts: Number of trajectories in which each skill occurs.
-        untagged: Number of trajectories whose skills are unknown.
-        goal_text_counts: Number of trajectories of each goal text.
-        labelled: Number of trajectories with ground-truth labels.
-        data_bytes: Bytes of `data/`.
-        fingerprint: sha256 of the contents, in hexadecimal.
+    Of its trajectories `shortest` and `longest` are timesteps, 0 where there is none; `untagged` have unknown skills,
+    `labelled` have ground truth. `frames` are all timesteps; `fingerprint` is the sha256 of the contents.
     """
 
     spec: DatasetSpec
@@ -71,14 +60,9 @@ class DatasetSummary:
 
 @dataclass(frozen=True)
 class FitPrediction:
-    """What a fit of segmentation takes.
+    """What a fit of segmentation takes: frames (H, W, C) of a camera, minutes by an estimate, and gigabytes.
 
-    Attributes:
-        camera: The camera that it sees.
-        frame: Height, width and channels of its frames.
-        minutes: An estimate; see `freerein.data.batch_memory.Batches.seconds`.
-        memory_gb: Gigabytes of memory for the frames of a batch, at most.
-        disk_gb: Gigabytes of disk for the decoded frames, which `freerein dataset prune` deletes.
+    Memory is that for the frames of a batch, at most; disk that for decoded frames, which `dataset prune` deletes.
     """
 
     camera: str
@@ -149,7 +133,9 @@ def check(root: Path) -> list[Problem]:
     ]
     first_frames = [] if trajectories else _first_frame_problems(dataset)
     actions = [Problem("actions", each, _COUNTER_HINT, "warning") for each in counters.sentences()]
-    actions += [] if dataset.spec.has_actions else [_no_actions(dataset)]
+    if not dataset.spec.has_actions:
+        named = next((f"Import it: {why}." for why in dataset.left_out.values() if "--action" in why), "")
+        actions.append(replace(_NO_ACTIONS, hint=named) if named else _NO_ACTIONS)
     tags = tag_problems(dataset.spec.skills, dataset.skills)
     return [*tags, *actions, *_size_problems(dataset, root.name), *first_frames, *trajectories]
 
@@ -184,17 +170,13 @@ def _default_batches(dataset: Dataset) -> Batches:
     return Batches(dataset.lengths, dataset.spec.cameras[camera])
 
 
-def _no_actions(dataset: Dataset) -> Problem:
-    named = next((f"Import it: {why}." for why in dataset.left_out.values() if "--action" in why), "")
-    return replace(_NO_ACTIONS, hint=named) if named else _NO_ACTIONS
-
-
 def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
     recorded = meta.read_episodes(root, spec).select(["dataset_from_index", "data/sha256"]).to_pylist()
     expected = first_frame = 0
     tasks = dict[str, int]()
     for file in layout.numbered_files(root / "data"):
-        yield from (Problem(_where("data", index), _GAP, _RESTORE) for index in range(expected, file.index))
+        missing = (layout.trajectory_path(Path("data"), index) for index in range(expected, file.index))
+        yield from (Problem(path.as_posix(), _GAP, _RESTORE) for path in missing)
         expected, row = file.index + 1, recorded[file.index] if file.index < len(recorded) else None
         first_frame = row["dataset_from_index"] if row else first_frame
         try:
@@ -203,7 +185,7 @@ def _data_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
             )
             first_frame += entry["length"]
         except InvalidInput as error:
-            yield Problem(_where("data", file.index), error.detail, _RESTORE)
+            yield Problem(file.path.relative_to(root).as_posix(), error.detail, _RESTORE)
             if row is None:
                 return  # the files after it cannot be checked without its length
 
@@ -249,20 +231,19 @@ def _count_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
 def _truth_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
     lengths = meta.read_episodes(root, spec)["length"].to_pylist()
     for index in truth.stored(root):
+        where = layout.trajectory_path(Path("truth"), index).as_posix()
         if index >= len(lengths):
             sentence = "Labels must belong to a trajectory; there is none of this number."
-            yield Problem(
-                _where("truth", index), sentence, "Open the dataset for writing once: such labels are deleted."
-            )
+            yield Problem(where, sentence, "Open the dataset for writing once: such labels are deleted.")
             continue
         try:
             labels = truth.labels(root, index)
         except ServiceError as error:
-            yield Problem(_where("truth", index), error.detail, _RESTORE)
+            yield Problem(where, error.detail, _RESTORE)
             continue
         if len(labels) != lengths[index] or np.any((labels < NO_SKILL) | (labels >= len(spec.skills))):
             sentence = f"There must be {lengths[index]} labels in [{NO_SKILL}, {len(spec.skills)}); these are not."
-            yield Problem(_where("truth", index), sentence, _RESTORE)
+            yield Problem(where, sentence, _RESTORE)
 
 
 def _foreign_problems(root: Path) -> Iterator[Problem]:
@@ -276,10 +257,6 @@ def _foreign_problems(root: Path) -> Iterator[Problem]:
             _ = dataset[index], dataset.robot_state(index)
         except (InvalidInput, UnsupportedMedia) as error:
             yield Problem(f"trajectory {episode}", error.detail, error.hint)
-
-
-def _where(folder: str, index: int) -> str:
-    return layout.trajectory_path(Path(folder), index).as_posix()
 
 
 def _first_frame_problems(dataset: Dataset) -> Iterator[Problem]:

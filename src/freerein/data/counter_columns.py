@@ -13,11 +13,7 @@ _EPOCH = 1e8
 
 
 class CounterColumns:
-    """Finds the numbers of an action that count, or only grow, in every trajectory.
-
-    Args:
-        names: Names of the numbers; may be empty.
-    """
+    """Finds the numbers of an action that count, or only grow, in every trajectory; their names may be empty."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names

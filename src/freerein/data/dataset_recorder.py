@@ -117,10 +117,7 @@ class DatasetRecorder:
 def recording(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) -> Iterator[Writer]:
     """Yields the writer of a new dataset, deleted if nothing is recorded, or of one whose recording was interrupted.
 
-    Args:
-        root: The dataset's folder.
-        spec: Properties that its trajectories share.
-        request: What is recorded, as JSON; must be equal to resume.
+    `request` is what is recorded, as JSON; it must be equal to resume.
 
     Raises:
         NotFound: There is something else in `root`.
@@ -148,51 +145,38 @@ def _check_resumable(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) 
     earlier = json.loads(path.read_bytes()) if path.is_file() else None
     count = len(layout.numbered_files(root / "data"))
     if earlier != request and (count or earlier is not None):
-        raise FailedPrecondition(
-            "A recording can be resumed only with its own request; this dataset was recorded with another.",
-            hint="Choose another name for the dataset, ask for the same with a larger count, or delete it: "
-            "`freerein dataset rm NAME`.",
+        raise _not_resumed(
+            "with its own request; this dataset was recorded with another",
+            "Choose another name for the dataset, ask for the same with a larger count",
         )
     if found != spec:
-        raise FailedPrecondition(
-            "A recording can be resumed only by a version of freerein that stores the same features; this dataset "
-            "was begun by another.",
-            hint="Choose another name for the dataset, or delete it: `freerein dataset rm NAME`.",
+        raise _not_resumed(
+            "by a version of freerein that stores the same features; this dataset was begun by another",
+            "Choose another name for the dataset",
         )
-    if not count and _has_lost_trajectories(root):
-        raise FailedPrecondition(
-            "A recording can be resumed only where its trajectories are; this dataset has labels or tags of "
-            "trajectories, and none of these.",
-            hint="Restore `data/` from a copy, choose another name, or delete it: `freerein dataset rm NAME`.",
+    has_truth = max(truth.stored(root), default=0) > 0  # an append may leave labels of the first
+    if not count and (has_truth or (root / labels.FOLDER).exists() or tags.read(root) is not None):
+        raise _not_resumed(
+            "where its trajectories are; this dataset has labels or tags of trajectories, and none of these",
+            "Restore `data/` from a copy, choose another name",
         )
 
 
-def _has_lost_trajectories(root: Path) -> bool:
-    """Whether a dataset without trajectories has what is only made of some: an append may leave labels of the first."""
-    has_truth = max(truth.stored(root), default=0) > 0
-    return has_truth or (root / labels.FOLDER).exists() or tags.read(root) is not None
+def _not_resumed(reason: str, ways_out: str) -> FailedPrecondition:
+    hint = f"{ways_out}, or delete it: `freerein dataset rm NAME`."
+    return FailedPrecondition(f"A recording can be resumed only {reason}.", hint=hint)
 
 
 def dataset_spec(task: Task, *, cameras: tuple[str, ...], height: int, width: int) -> DatasetSpec:
-    """Returns the dataset spec of recordings of a task.
+    """Returns the dataset spec of recordings of a task; without cameras its first, with sizes of 0 the cameras' own.
 
-    Args:
-        task: The task.
-        cameras: Cameras to record; empty for the task's first.
-        height: Frame height in pixels; 0 means the cameras' own.
-        width: Frame width in pixels; 0 means the cameras' own.
-
-    Raises:
-        InvalidInput: Unknown camera.
+    Raises InvalidInput for an unknown camera.
     """
     known = {camera.name: camera for camera in task.cameras}
     unknown = [name for name in cameras if name not in known]
     if unknown:
-        raise InvalidInput(
-            f"Cameras must be among the task's, {', '.join(known)}; {len(unknown)} of those asked for are not.",
-            field="cameras",
-            hint="Leave them out for the task's first.",
-        )
+        sentence = f"Cameras must be among the task's, {', '.join(known)}; {len(unknown)} of those asked for are not."
+        raise InvalidInput(sentence, field="cameras", hint="Leave them out for the task's first.")
     chosen = [known[name] for name in cameras] or list(task.cameras[:1])
     return DatasetSpec(
         fps=integer_fps(task.control_dt_s),

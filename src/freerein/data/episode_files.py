@@ -12,12 +12,9 @@ from freerein.errors import InvalidInput
 
 
 class EpisodeFiles:
-    """Finds the rows of episodes by their number.
+    """Finds the rows of episodes by their number, in the file that `meta/` names for each.
 
-    Args:
-        root: The dataset's folder.
-        named: The file that `meta/` names for each episode.
-        is_searched: Whether others are searched where that one does not hold the episode, as some converters leave it.
+    Others are searched, if asked for, where that one does not hold the episode, as some converters leave it.
     """
 
     def __init__(self, root: Path, named: Mapping[int, Path], *, is_searched: bool) -> None:
@@ -31,13 +28,14 @@ class EpisodeFiles:
         try:
             return _whole(read_rows([named], index=episode, columns=columns), length)
         except InvalidInput as error:
-            others = self._holding(episode) if self._is_searched else []
+            ranges = self._ranges.items() if self._is_searched else ()
+            others = [path for path, found in ranges if any(least <= episode <= most for least, most in found)]
             if others in ([], [named]):
                 raise
             try:
                 return _whole(read_rows(others, index=episode, columns=columns), length)
             except InvalidInput:
-                if self._is_damaged(named):
+                if named.is_file() and not self._ranges.get(named):  # it is damaged
                     raise error from None
                 raise
 
@@ -48,18 +46,7 @@ class EpisodeFiles:
     @property
     def paths(self) -> list[Path]:
         """All data files, in order."""
-        folder = self._root / "data"
-        return [layout.numbered(folder, chunk=each.chunk, file=each.file) for each in layout.numbered_files(folder)]
-
-    def _holding(self, episode: int) -> list[Path]:
-        return [
-            path
-            for path, ranges in self._ranges.items()
-            if any(least <= episode <= greatest for least, greatest in ranges)
-        ]
-
-    def _is_damaged(self, path: Path) -> bool:
-        return path.is_file() and not self._ranges.get(path)
+        return [each.path for each in layout.numbered_files(self._root / "data")]
 
     @cached_property
     def _ranges(self) -> dict[Path, list[tuple[float, float]]]:

@@ -29,7 +29,6 @@ class FirstFrameTest:
     """How well first frames tell whether a skill occurs.
 
     Attributes:
-        skill: The skill.
         auroc: Area under the ROC curve on held-out trajectories; 0.5 is chance.
         p_value: Probability that first frames without any information do as well, over all skills tested; at least
             0.002, one of the permutations.

@@ -14,7 +14,6 @@ from freerein.data.action_table import read_actions
 from freerein.data.annotations import read_tags
 from freerein.data.importing import Recorded, Source
 from freerein.data.layout import DatasetSpec
-from freerein.data.proportions import are_stretched, stretch_notes
 from freerein.data.recordings import (
     ACTIONS,
     CAMERA,
@@ -27,7 +26,7 @@ from freerein.data.recordings import (
     natural,
     system_files,
 )
-from freerein.data.videos import BOUNDS, joined
+from freerein.data.videos import BOUNDS, are_stretched, joined, stretch_notes
 from freerein.errors import InvalidInput, NotFound
 from freerein.regular_files import read_regular
 from freerein.types.common import ActionSpec, Image, Trajectory
@@ -76,7 +75,7 @@ class FolderSource(Source):
                 hint="Give each trajectory its actions, or none.",
             )
         ((names, action_size),) = kinds
-        self._spec = DatasetSpec(
+        self.spec = DatasetSpec(
             fps=fps,
             cameras={camera: _shape(files, size) for camera, files in self._recordings[0].cameras.items()},
             action=ActionSpec(size=action_size, choices=0, names=names),
@@ -86,19 +85,14 @@ class FolderSource(Source):
         )
 
     @property
-    def spec(self) -> DatasetSpec:
-        """Properties that the trajectories share."""
-        return self._spec
-
-    @property
     def contents(self) -> str:
         """Names of trajectories and cameras, and how many have tags."""
         first, *others = self.names
-        named = sorted(set(self._spec.cameras) - {CAMERA})
-        cameras = f"cameras {', '.join(self._spec.cameras)}" if named else "one camera"
+        named = sorted(set(self.spec.cameras) - {CAMERA})
+        cameras = f"cameras {', '.join(self.spec.cameras)}" if named else "one camera"
         tagged = f"{len(self._skills)} with tags" if self._skills else "no tags"
         names = f"{first} to {others[-1]}" if others else first
-        return f"{names}, {cameras}, {tagged}, {self._spec.fps} timesteps a second"
+        return f"{names}, {cameras}, {tagged}, {self.spec.fps} timesteps a second"
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -118,7 +112,7 @@ class FolderSource(Source):
         for recording, (_, values) in zip(self._recordings, self._actions, strict=True):
             frames = {camera: self._frames(recording, camera) for camera in recording.cameras}
             length = _common_length(recording, frames)
-            actions = values if self._spec.has_actions else np.empty((length, 0), np.float32)
+            actions = values if self.spec.has_actions else np.empty((length, 0), np.float32)
             if len(actions) != length:
                 raise InvalidInput(
                     f"`{recording.name}/{ACTIONS}` must have a line for each of {length} images; "
@@ -130,22 +124,26 @@ class FolderSource(Source):
 
     def _frames(self, recording: Recording, camera: str) -> Pixels:
         """Returns the frames of a camera, uint8 (T, H, W, C)."""
-        files, shape = recording.cameras[camera], self._spec.cameras[camera]
+        files, shape = recording.cameras[camera], self.spec.cameras[camera]
         if not isinstance(files, Path):
             return joined(self._images(recording, camera, files), shape)
         with open_video(files, channels=shape[2], size=self._size, bounds=BOUNDS, field=files.name) as video:
             own = (video.info.height, video.info.width)
             self._note_size(recording, camera, own)
             if self._size is None and own != shape[:2]:
-                raise _other_size(own, shape, files)
-            sampled = frames_at_rate(video, fps=self._spec.fps, file=files.name)
+                raise InvalidInput(
+                    f"All videos of a camera must be {shape[0]} x {shape[1]}, as the first; "
+                    f"`{files.parent.name}/{files.name}` is {own[0]} x {own[1]}.",
+                    hint="Scale them, --size HxW; turn or crop those of other proportions first.",
+                )
+            sampled = frames_at_rate(video, fps=self.spec.fps, file=files.name)
             return joined((frame.pixels for frame in sampled), shape)
 
     def _images(self, recording: Recording, camera: str, files: Iterable[Path]) -> Iterator[Pixels]:
         for file in files:
             pixels = _decoded(file)
             self._note_size(recording, camera, pixels.shape)
-            yield _in_shape(pixels, self._size, self._spec.cameras[camera], file)
+            yield _in_shape(pixels, self._size, self.spec.cameras[camera], file)
 
     def _note_size(self, recording: Recording, camera: str, own: tuple[int, ...]) -> None:
         if self._size is not None and are_stretched(own, self._size):
@@ -169,9 +167,8 @@ class ImageSource(Source):
     def __init__(self, folder: Path, *, size: tuple[int, int] | None = None) -> None:
         by_folder: dict[Path, list[Path]] = {}
         for file in sorted(folder.rglob("*"), key=natural) if folder.is_dir() else ():
-            if is_image(file) and not any(
-                part[0] == "." or is_of_system(part) for part in file.relative_to(folder).parts
-            ):
+            parts = file.relative_to(folder).parts
+            if is_image(file) and not any(part[0] == "." or is_of_system(part) for part in parts):
                 by_folder.setdefault(file.parent, []).append(file)
         count = sum(map(len, by_folder.values()))
         if count < 2:
@@ -185,33 +182,30 @@ class ImageSource(Source):
         if len(self._runs) == 1:
             self._runs = [self._runs[0][:1], self._runs[0][1:]]
         self._stretched: dict[str, tuple[int, ...]] = {}
-        shape = (*(size or _scaled_size(self._runs[0][0])), 3)
-        self._spec = DatasetSpec(1, {CAMERA: shape}, ActionSpec(0, 0, ()), robot_type="")
-
-    @property
-    def spec(self) -> DatasetSpec:
-        """Properties that the trajectories share."""
-        return self._spec
+        height, width, _ = _decoded(self._runs[0][0]).shape
+        scale = _SHORTER / min(height, width)
+        shape = (*(size or (min(_LONGEST, round(height * scale)), min(_LONGEST, round(width * scale)))), 3)
+        self._shape = shape
+        self.spec = DatasetSpec(1, {CAMERA: shape}, ActionSpec(0, 0, ()), robot_type="")
 
     def __len__(self) -> int:
         return len(self._runs)
 
     def __iter__(self) -> Iterator[Trajectory]:
-        shape = self._spec.cameras[CAMERA]
         for files in self._runs:
-            frames = joined((self._scaled(file, shape) for file in files), shape)
+            frames = joined(map(self._scaled, files), self._shape)
             yield Trajectory({CAMERA: frames}, np.empty((len(files), 0), np.float32))
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Which images were stretched."""
-        return stretch_notes(self._stretched, self._spec.cameras[CAMERA][:2])
+        return stretch_notes(self._stretched, self._shape[:2])
 
-    def _scaled(self, file: Path, shape: tuple[int, int, int]) -> Pixels:
-        pixels = _decoded(file)
-        if are_stretched(pixels.shape, shape[:2]):
+    def _scaled(self, file: Path) -> Pixels:
+        pixels, size = _decoded(file), self._shape[:2]
+        if are_stretched(pixels.shape, size):
             self._stretched[f"{file.parent.name}/{file.name}"] = pixels.shape[:2]
-        return _in_shape(pixels, shape[:2], shape, file)
+        return _in_shape(pixels, size, self._shape, file)
 
 
 def _actions(recording: Recording) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
@@ -232,13 +226,6 @@ def _shape(files: Files, size: tuple[int, int] | None) -> tuple[int, int, int]:
     return (*(size or (height, width)), channels)
 
 
-def _scaled_size(file: Path) -> tuple[int, int]:
-    """Returns the height and width of an image after scaling its shorter side to `_SHORTER`."""
-    height, width, _ = _decoded(file).shape
-    scale = _SHORTER / min(height, width)
-    return min(_LONGEST, round(height * scale)), min(_LONGEST, round(width * scale))
-
-
 def _in_shape(pixels: Pixels, size: tuple[int, int] | None, shape: tuple[int, int, int], file: Path) -> Pixels:
     """Returns an image of a file scaled, uint8 (H, W, C); gray ones become RGB where the first is."""
     if size is not None and pixels.shape[:2] != size:
@@ -256,14 +243,6 @@ def _decoded(file: Path) -> Pixels:
     name = f"{file.parent.name}/{file.name}"
     data = read_regular(file, name=name)
     return images.decode(Image(images.sniff(data, field=name), 0, 0, data), field=name)
-
-
-def _other_size(own: tuple[int, int], shape: tuple[int, int, int], file: Path) -> InvalidInput:
-    return InvalidInput(
-        f"All videos of a camera must be {shape[0]} x {shape[1]}, as the first; `{file.parent.name}/{file.name}` is "
-        f"{own[0]} x {own[1]}.",
-        hint="Scale them, --size HxW; turn or crop those of other proportions first.",
-    )
 
 
 def _common_length(recording: Recording, frames: Mapping[str, Pixels]) -> int:

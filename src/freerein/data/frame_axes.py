@@ -13,8 +13,12 @@ def frame_size(feature: Mapping[str, Any]) -> tuple[int, int, int] | None:
         return None
     lengths = [*shape, 1][:3]
     named = [str(each).lower() for each in names] if isinstance(names, list) else []
-    sizes = [_by_video(feature), *_by_names(lengths, named), *_by_channels(lengths)]
-    return next((each for each in sizes if each and _is_frame(each) and sorted(each) == sorted(lengths)), None)
+    first, second, third = lengths
+    channels_last_or_first = [(first, second, third), (second, third, first)]  # LeRobot's own order is the former
+    for size in (_by_video(feature), *_by_names(lengths, named), *channels_last_or_first):
+        if size and sorted(size) == sorted(lengths) and size[2] in (1, 3) and size[0] * size[1] <= MAX_PIXELS:
+            return size
+    return None
 
 
 def _by_names(lengths: Sequence[int], names: Sequence[str]) -> Iterator[tuple[int, int, int]]:
@@ -32,17 +36,6 @@ def _by_video(feature: Mapping[str, Any]) -> tuple[int, int, int] | None:
     return (sizes[0], sizes[1], sizes[2]) if len(sizes) == 3 else None
 
 
-def _by_channels(lengths: Sequence[int]) -> Iterator[tuple[int, int, int]]:
-    """Yields channels last, LeRobot's own order, then channels first."""
-    first, second, third = lengths
-    yield first, second, third
-    yield second, third, first
-
-
 def is_length(value: object) -> bool:
     """Returns whether a value may be the length of an axis."""
     return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MAX_SIDE
-
-
-def _is_frame(size: tuple[int, int, int]) -> bool:
-    return size[2] in (1, 3) and size[0] * size[1] <= MAX_PIXELS

@@ -23,13 +23,11 @@ from freerein.types.common import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A trajectory of another tool, and what is stored beside it.
+    """A trajectory of another tool, its name in errors, and what is stored beside it, None where there is none.
 
     Attributes:
-        trajectory: The trajectory.
-        name: Its name in errors.
-        robot_state: The robot's own state, float32 (T, S); None where the tool does not record it.
-        labels: True labels, int64 (T,), indices into the spec's skills, or -1 where unknown; None where there are none.
+        robot_state: The robot's own state, float32 (T, S).
+        labels: True labels, int64 (T,), indices into the spec's skills, or -1 where unknown.
     """
 
     trajectory: Trajectory
@@ -39,11 +37,13 @@ class Recorded:
 
 
 class Source(Protocol):
-    """Trajectories of another tool."""
+    """Trajectories of another tool.
 
-    @property
-    def spec(self) -> DatasetSpec:
-        """Properties that they share, as they will be stored."""
+    Attributes:
+        spec: Properties that they share, as they will be stored.
+    """
+
+    spec: DatasetSpec
 
     def __len__(self) -> int:
         """Returns their number."""
@@ -172,8 +172,5 @@ def _append(writer: Writer, root: Path, source: Source, recorded: Recorded) -> N
 
 
 def _taken() -> AlreadyExists:
-    return AlreadyExists(
-        "A new dataset needs a name that is not taken; this one is.",
-        field="dataset",
-        hint="Choose another name, use that dataset, or replace it: --replace. `freerein dataset rm NAME` deletes it.",
-    )
+    hint = "Choose another name, use that dataset, or replace it: --replace. `freerein dataset rm NAME` deletes it."
+    return AlreadyExists("A new dataset needs a name that is not taken; this one is.", field="dataset", hint=hint)

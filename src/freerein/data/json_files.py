@@ -9,12 +9,7 @@ from freerein.regular_files import read_regular
 
 
 def read(path: Path, *, name: str, allows_nan: bool = False) -> Any:
-    """Returns the contents of a JSON file.
-
-    Args:
-        path: The file.
-        name: Its name in errors.
-        allows_nan: Whether numbers may be infinite or NaN, as in statistics.
+    """Returns the contents of a JSON file, called `name` in errors; numbers of statistics may be infinite or NaN.
 
     Raises:
         ValueError: It is no JSON in UTF-8, is nested too deeply, or has another number.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from freerein.data.annotation_table import Line, line, rows
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be, quoted
 
 TimeUnit: TypeAlias = Literal["timesteps", "seconds", "milliseconds"]
 
@@ -58,15 +58,9 @@ class LabelOptions:
 
 @dataclass(frozen=True)
 class Segment:
-    """A skill of the timesteps from `start` to before `end`, and its line in the table.
+    """A skill, as it is written, of the timesteps from `start` to before `end` of a trajectory; and its line.
 
-    Attributes:
-        line: The line.
-        columns: Names of the columns that hold its start and its skill.
-        trajectory: Index of the trajectory.
-        start: The first timestep.
-        end: The timestep after the last one.
-        skill: As it is written there.
+    `columns` are the names of the columns that hold its start and its skill.
     """
 
     line: Line
@@ -94,8 +88,7 @@ def read_segments(
         options: How to read it.
         on_note: Called with a sentence where the unit of times was told by the numbers.
 
-    Raises:
-        InvalidInput: It is no such table, or a segment does not lie in its trajectory; the error names line and column.
+    Raises InvalidInput, with line and column, where it is no such table, or a segment does not lie in its trajectory.
     """
     found = [(number, cells) for number, cells in rows(table, _delimiter(table)) if not cells[0].startswith("#")]
     if not found:
@@ -128,20 +121,17 @@ class _Reader:
         """Returns the segment of a line, the `place`-th of the table."""
         trajectory = self._trajectory(line)
         length = self.lengths[trajectory]
-        if "start" in self.roles:
-            first = self.roles["start"]
-            start = self._timestep(line, first, least=0, most=length - 1)
-            end = self._timestep(line, self.roles["end"], least=start + 1, most=length)
-        elif "timestep" in self.roles:
-            first = self.roles["timestep"]
-            start = self._timestep(line, first, least=0, most=length - 1)
-            end = start + 1
-        else:
-            first = self.roles["skill"]
-            if place >= length:
-                raise line.error(first, f"be one of {length}, one for each timestep; it is another", _HINT)
-            start, end = place, place + 1
         skill = self.roles["skill"]
+        first = self.roles.get("start") or self.roles.get("timestep") or skill
+        if first != skill:
+            start = self._timestep(line, first, least=0, most=length - 1)
+        elif place < length:
+            start = place
+        else:
+            raise line.error(first, f"be one of {length}, one for each timestep; it is another", _HINT)
+        end = start + 1
+        if "start" in self.roles:
+            end = self._timestep(line, self.roles["end"], least=end, most=length)
         return Segment(line, (first, skill), trajectory, start, end, line.cells[skill].strip())
 
     def _trajectory(self, line: Line) -> int:
@@ -149,23 +139,17 @@ class _Reader:
             return line.integer(self.roles["trajectory"], least=0, most=len(self.lengths) - 1)
         index = self.options.trajectory or 0
         if not 0 <= index < len(self.lengths):
-            raise InvalidInput(
-                f"The trajectory must be in [0, {len(self.lengths) - 1}]; got {index}.",
-                field="trajectory",
-                hint="`freerein dataset inspect` shows how many there are.",
-            )
+            hint = "`freerein dataset inspect` shows how many there are."
+            raise must_be("The trajectory", f"in [0, {len(self.lengths) - 1}]", index, field="trajectory", hint=hint)
         return index
 
     def _timestep(self, line: Line, column: str, *, least: int, most: int) -> int:
         """Returns the first timestep at or after a time."""
         text = line.cells[column].strip()
         if self.unit == "timesteps" and ":" not in text:
-            step = _seconds(text)
-            return (
-                int(step)
-                if step.is_integer() and least <= step <= most
-                else line.integer(column, least=least, most=most)
-            )
+            whole = _seconds(text)
+            is_step = whole.is_integer() and least <= whole <= most
+            return int(whole) if is_step else line.integer(column, least=least, most=most)
         scale = 1000 if self.unit == "milliseconds" and ":" not in text else 1
         time_s = _seconds(text) / scale
         step = math.ceil(time_s * self.fps - _ROUNDING) if math.isfinite(time_s) else -1
@@ -175,7 +159,7 @@ class _Reader:
             raise line.error(
                 column,
                 f"be a time in [{least / self.fps:g}, {most / self.fps:g}] seconds, at {self.fps} timesteps per "
-                "second; it is not",
+                f"second; got {quoted(text)}",
                 "Times are counted from the first frame; say their unit with --unit where it was taken wrongly.",
             )
         return step
@@ -196,21 +180,16 @@ def _by_names(found: list[tuple[int, list[str]]]) -> _Table | None:
     columns = [cell.strip() for cell in found[0][1]]
     roles, units = dict[str, str](), dict[str, TimeUnit | None]()
     for column in columns:
-        key = " ".join(column.casefold().replace("_", " ").split())
+        key = _key(column)
         time = _TIME_NAME.fullmatch(key)
         role = _TIME_ROLES[time[1]] if time and (time[2] is None or time[2] in _UNITS) else _ROLES.get(key)
-        unit = _UNITS.get(time[2] or _own_unit(key)) if time else None
+        unit = _UNITS.get(time[2] or key.rpartition(" ")[2]) if time else None  # such as `start frame`
         if role and (role not in roles or (unit == "seconds" and units[role] != "seconds")):
             roles[role], units[role] = column, unit
     is_named = any(needed <= set(roles) for needed in _NEEDED) or (len(columns) == 1 and "skill" in roles)
     if not is_named or len(set(columns)) != len(columns):
         return None
     return columns, roles, units.get("start"), found[1:]
-
-
-def _own_unit(name: str) -> str:
-    """Returns the last word of a name such as `start frame`."""
-    return name.rpartition(" ")[2]
 
 
 def _by_contents(found: list[tuple[int, list[str]]]) -> _Table:
@@ -249,7 +228,8 @@ def _formats(times: Sequence[float]) -> int | None:
 def _of_tier(lines: list[Line], columns: list[str], roles: dict[str, str], asked: str) -> list[Line]:
     """Returns the lines of the tier asked for, or of the only one; it may be a column of its own, as ELAN has them."""
     if "skill" not in roles:
-        others = [each for each in columns if each not in roles.values() and not _is_other(each)]
+        unknown = [each for each in columns if each not in roles.values()]
+        others = [each for each in unknown if not (_TIME_NAME.fullmatch(_key(each)) or _OTHERS.fullmatch(_key(each)))]
         roles["skill"] = _one_tier(others, asked)
         return lines
     if "tier" not in roles:
@@ -258,9 +238,8 @@ def _of_tier(lines: list[Line], columns: list[str], roles: dict[str, str], asked
     return [each for each in lines if each.cells[roles["tier"]].strip() == tier]
 
 
-def _is_other(column: str) -> bool:
-    key = " ".join(column.casefold().replace("_", " ").split())
-    return _TIME_NAME.fullmatch(key) is not None or _OTHERS.fullmatch(key) is not None
+def _key(column: str) -> str:
+    return " ".join(column.casefold().replace("_", " ").split())
 
 
 def _one_tier(tiers: Sequence[str], asked: str) -> str:

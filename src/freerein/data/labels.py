@@ -47,11 +47,9 @@ class LabelsInfo:
 
 
 class LabelsWriter:
-    """The only writer of a dataset's labels; a context manager. They are incomplete from now on, durably.
+    """The only writer of a dataset's labels, of a name such as a run's; a context manager.
 
-    Args:
-        root: The dataset's folder.
-        name: Who writes, such as a run.
+    The labels are incomplete from now on, durably.
 
     Attributes:
         goes_on: Whether the last writer had the same name: only then are the labels that it has saved still there.
@@ -107,9 +105,8 @@ def info(root: Path) -> LabelsInfo:
         model = ModelRef(str(document["model"]["name"]), str(document["model"]["version"]))
         return LabelsInfo(tuple(str(skill) for skill in document["skills"]), model)
     except (ValueError, KeyError, TypeError) as error:
-        raise InvalidInput(
-            "The description of a dataset's labels must be JSON of ours; it is not.", hint=_HINT
-        ) from error
+        sentence = "The description of a dataset's labels must be JSON of ours; it is not."
+        raise InvalidInput(sentence, hint=_HINT) from error
 
 
 def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
@@ -129,11 +126,7 @@ def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
 
 
 def all_labels(root: Path, lengths: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], ...]:
-    """Returns the labels of every trajectory, int64 (T,) each, as `labels` does.
-
-    Args:
-        root: The dataset's folder.
-        lengths: int64 (n,), the timesteps of each trajectory: `Dataset.lengths`.
+    """Returns the labels of every trajectory, int64 (T,) each, as `labels` does; of these `Dataset.lengths`.
 
     Raises:
         FailedPrecondition: The dataset was not labelled, or has grown since.

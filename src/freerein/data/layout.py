@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from freerein.data import json_files
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be
 from freerein.types.common import ActionSpec, check_name
 
 CODEBASE_VERSION = "v3.0"
@@ -71,32 +71,22 @@ class DatasetSpec:
     def __post_init__(self) -> None:
         """Raises InvalidInput where a value is out of range."""
         if self.fps < 1:
-            raise InvalidInput(f"`fps` must be a positive integer; got {self.fps}.", field="fps")
+            raise must_be("fps", "a positive integer", self.fps)
         if not self.cameras:
-            raise InvalidInput("`cameras` must name at least one camera; got none.", field="cameras")
+            raise must_be("cameras", "at least one camera", "none")
         for name, (height, width, channels) in self.cameras.items():
             check_name(name, field="cameras")
             if height < 1 or width < 1 or channels not in (1, 3):
-                raise InvalidInput(
-                    f"A camera's frames must be (H, W, C) with C = 1 or 3; got ({height}, {width}, {channels}).",
-                    field="cameras",
-                )
+                found = f"({height}, {width}, {channels})"
+                raise must_be("A camera's frames", "(H, W, C) with C = 1 or 3", found, field="cameras")
         if len(set(self.skills)) != len(self.skills) or "" in self.skills:
-            raise InvalidInput(
-                "`skills` must be different, non-empty names; got a repeated or empty one.", field="skills"
-            )
+            raise must_be("skills", "different, non-empty names", "a repeated or empty one")
         if self.action.size < 0 or (self.action.choices and self.action.size != 1):
-            raise InvalidInput(
-                "An action must have exactly one number when it is discrete, else any number; "
-                f"got {self.action.size} with {self.action.choices} choices.",
-                field="action",
-            )
+            found = f"{self.action.size} with {self.action.choices} choices"
+            raise must_be("action", "exactly one number when it is discrete, else any number of them", found)
         if self.robot_state_size < 0 or len(self.robot_state_names) not in (0, self.robot_state_size):
-            raise InvalidInput(
-                "A robot's state must have a name for each of its numbers, or none; "
-                f"got {len(self.robot_state_names)} names for {self.robot_state_size} numbers.",
-                field="robot_state_names",
-            )
+            found = f"{len(self.robot_state_names)} for {self.robot_state_size} numbers"
+            raise must_be("robot_state_names", "a name for each number of the robot's state, or none", found)
 
     @property
     def has_actions(self) -> bool:
@@ -123,11 +113,8 @@ def integer_fps(control_dt_s: float) -> int:
         InvalidInput: The period is not between 0 (excluded) and 2 seconds.
     """
     if not 0 < control_dt_s < 2:
-        raise InvalidInput(
-            f"`control_dt_s` must be above 0 and below 2 seconds; got {control_dt_s}.",
-            field="control_dt_s",
-            hint="A dataset needs a rate of at least one timestep per second.",
-        )
+        hint = "A dataset needs a rate of at least one timestep per second."
+        raise must_be("control_dt_s", "above 0 and below 2 seconds", control_dt_s, hint=hint)
     return round(1 / control_dt_s)
 
 
@@ -169,8 +156,9 @@ def loads(text: str | bytes) -> DatasetSpec:
 
 @dataclass(frozen=True)
 class DataFile:
-    """Numbers of a complete data file's folder and of the file in it, and its size in bytes."""
+    """A complete data file: its path, the number of its folder and its own, and its size in bytes."""
 
+    path: Path
     chunk: int
     file: int
     size: int
@@ -205,7 +193,7 @@ def numbered_files(folder: Path) -> list[DataFile]:
     if not folder.is_dir():
         return []
     found = [
-        DataFile(int(chunk[1]), int(file[1]), path.stat().st_size)
+        DataFile(path, int(chunk[1]), int(file[1]), path.stat().st_size)
         for directory in folder.iterdir()
         if (chunk := _CHUNK.fullmatch(directory.name))
         for path in directory.iterdir()

@@ -8,7 +8,7 @@ tools that write it also where the episode was truncated.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,10 @@ import pyarrow as pa
 
 from freerein.data import json_files, layout, lerobot_features, lerobot_tables
 from freerein.data.layout import DatasetSpec
-from freerein.data.lerobot_features import DEFAULTS, Features, LeRobotOptions, Vector, shown
+from freerein.data.lerobot_features import DEFAULTS, Features, LeRobotOptions, Vector
 from freerein.data.trajectory_file import corrupt_as_invalid
 from freerein.data.videos import VideoSpan
-from freerein.errors import InvalidInput, NotFound
+from freerein.errors import InvalidInput, NotFound, must_be, quoted
 from freerein.types.common import ActionSpec
 
 _HIGHEST_FPS = 1000
@@ -29,7 +29,7 @@ _MOST_CHOICES = 10_000
 
 @dataclass(frozen=True)
 class LeRobotMeta:
-    """Metadata of a dataset that another tool wrote.
+    """What is read of a dataset, and where.
 
     Attributes:
         spec: Properties that the trajectories share.
@@ -39,18 +39,18 @@ class LeRobotMeta:
         videos: Where each trajectory's frames lie, by camera whose frames are video.
         action_columns: The size of each column of the action.
         state_columns: The size of each column of the robot's state.
-        terminated_key: The column of the terminations.
+        terminated_key: The column of the terminations; empty for none.
         left_out: Why each feature is not read that is not, by its name.
     """
 
     spec: DatasetSpec
     episodes: pa.Table
-    camera_keys: dict[str, str]
-    videos: dict[str, tuple[VideoSpan, ...]]
+    camera_keys: Mapping[str, str]
     action_columns: Mapping[str, int]
     state_columns: Mapping[str, int]
     terminated_key: str
-    left_out: Mapping[str, str]
+    videos: Mapping[str, tuple[VideoSpan, ...]] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
 
 def read(root: Path, options: LeRobotOptions = DEFAULTS) -> LeRobotMeta:
@@ -126,11 +126,10 @@ def read_info(root: Path) -> dict[str, Any]:
         )
     with corrupt_as_invalid("`info.json`"):
         info = dict(json_files.read(path, name=layout.INFO_FILE))
-    if not str(info.get("codebase_version")).startswith("v3."):
-        raise InvalidInput(
-            "The dataset must be a LeRobotDataset v3; it is of another version.",
-            hint="Convert it with LeRobot's script convert_dataset_v21_to_v30.",
-        )
+    version = str(info.get("codebase_version"))
+    if not version.startswith("v3."):
+        found, hint = f"version {quoted(version)}", "Convert it with LeRobot's script convert_dataset_v21_to_v30."
+        raise must_be("The dataset", "a LeRobotDataset v3", found, field="", hint=hint)
     has_own_paths = info.get("data_path") == layout.DATA_PATH and info.get("video_path") in (None, layout.VIDEO_PATH)
     if not has_own_paths:
         raise InvalidInput(
@@ -144,10 +143,8 @@ def fps_of(info: Mapping[str, Any]) -> int:
     """Returns the timesteps per second; raises InvalidInput where they are no whole number."""
     fps = info.get("fps")
     if isinstance(fps, bool) or not isinstance(fps, int | float) or fps not in range(1, _HIGHEST_FPS + 1):
-        raise InvalidInput(
-            f"`fps` in `info.json` must be a whole number in [1, {_HIGHEST_FPS}]; it is not.",
-            hint="Write the dataset again with LeRobotDataset.create.",
-        )
+        found, hint = quoted(str(fps)), "Write the dataset again with LeRobotDataset.create."
+        raise must_be("`fps` in `info.json`", f"a whole number in [1, {_HIGHEST_FPS}]", found, field="", hint=hint)
     return int(fps)
 
 
@@ -156,17 +153,13 @@ def _action(root: Path, action: Vector) -> ActionSpec:
     return ActionSpec(size=action.size, choices=choices, names=action.names)
 
 
-def _read_statistics(root: Path) -> Any:
-    return json_files.read(root / layout.STATS_FILE, name=layout.STATS_FILE, allows_nan=True)
-
-
 def _choices(root: Path, key: str) -> int:
     """Returns the number of discrete actions: one more than the largest that occurs."""
     with corrupt_as_invalid("`stats.json`"):
-        largest = float(np.max(_read_statistics(root)[key]["max"]))
+        statistics = json_files.read(root / layout.STATS_FILE, name=layout.STATS_FILE, allows_nan=True)
+        largest = float(np.max(statistics[key]["max"]))
     if largest not in range(_MOST_CHOICES):
-        raise InvalidInput(
-            f"The largest {shown(key)} in `stats.json` must be a whole number in [0, {_MOST_CHOICES - 1}]; it is not.",
-            hint="Discrete actions count from 0; compute the statistics again with LeRobot.",
-        )
+        name, rule = f"The largest {quoted(key)} in `stats.json`", f"a whole number in [0, {_MOST_CHOICES - 1}]"
+        hint = "Discrete actions count from 0; compute the statistics again with LeRobot."
+        raise must_be(name, rule, f"{largest:g}", field="", hint=hint)
     return int(largest) + 1

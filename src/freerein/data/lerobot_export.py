@@ -85,17 +85,17 @@ def _plan(original: Path, dataset: Dataset, segments: list[list[LabelSegment]]) 
     lengths = dict(zip(episodes["episode_index"].to_pylist(), episodes["length"].to_pylist(), strict=True))
     _check_same(dataset, lengths, fps)
     of_episodes = dict(zip(lengths, segments, strict=True))
-    data = _files(original / "data")
+    data = [each.path for each in layout.numbered_files(original / "data")]
     starts = {number: times for number, times in _times(original, data, fps) if number in lengths}
     for number, length in lengths.items():
-        if len(starts.get(number, ())) != length:
+        if (found := len(starts.get(number, ()))) != length:
             raise InvalidInput(
-                f"Episode {number} must have {length} timesteps in the data files; it has "
-                f"{len(starts.get(number, ()))}.",
+                f"Episode {number} must have {length} timesteps in the data files; it has {found}.",
                 hint="`freerein dataset verify FOLDER` lists what is damaged.",
             )
     subtasks = {number: _subtasks(some, starts[number]) for number, some in of_episodes.items()}
-    return _Plan(original, info, of_episodes, subtasks, data, _files(original / "meta" / "episodes"))
+    tables = [each.path for each in layout.numbered_files(original / "meta" / "episodes")]
+    return _Plan(original, info, of_episodes, subtasks, data, tables)
 
 
 def _check_is_foreign(original: Path) -> None:
@@ -128,14 +128,10 @@ def _check_same(dataset: Dataset, lengths: dict[int, int], fps: int) -> None:
     raise InvalidInput(f"The original {sentence}.", field="lerobot", hint=_HINT)
 
 
-def _files(folder: Path) -> list[Path]:
-    return [layout.numbered(folder, chunk=each.chunk, file=each.file) for each in layout.numbered_files(folder)]
-
-
 def _times(original: Path, files: Sequence[Path], fps: int) -> Iterator[tuple[int, npt.NDArray[np.float64]]]:
     """Yields each episode and when its timesteps are, float64 (T,), in seconds; data files may share an episode."""
     columns = ["episode_index", "frame_index", "timestamp"]
-    tables = [lerobot_tables.read_columns(original, path.relative_to(original).as_posix(), columns) for path in files]
+    tables = [lerobot_tables.read_columns(original, path, columns) for path in files]
     with corrupt_as_invalid("`data`"):
         rows = pa.concat_tables(tables, promote_options="permissive")
         numbers = rows["episode_index"].to_numpy()
@@ -162,15 +158,13 @@ def _subtasks(segments: list[LabelSegment], times: npt.NDArray[np.float64]) -> l
 def _check_no_others(plan: _Plan) -> None:
     """Raises AlreadyExists where the original has subtasks or stages that are not those to be written."""
     for path in plan.data:
-        rows = lerobot_tables.read_columns(
-            plan.original, path.relative_to(plan.original).as_posix(), ["episode_index", language_rows.COLUMN]
-        )
+        rows = lerobot_tables.read_columns(plan.original, path, ["episode_index", language_rows.COLUMN])
         for number, time_s, text in language_rows.subtasks_of(rows):
             ours = plan.subtasks.get(number, ())
             if not any(abs(time_s - begins) < _ROUNDING_S and text == skill for begins, skill in ours):
                 raise _others(f"`{language_rows.COLUMN}` of episode {number}")
     for path in plan.episodes:
-        rows = lerobot_tables.read_columns(plan.original, path.relative_to(plan.original).as_posix(), ())
+        rows = lerobot_tables.read_columns(plan.original, path, ())
         name = sarm_stages.other_stages(rows, plan.segments, fps=lerobot.fps_of(plan.info))
         if name:
             raise _others(f"`{name}`")

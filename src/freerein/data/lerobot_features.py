@@ -6,7 +6,7 @@ from typing import Any
 
 from freerein.data import layout
 from freerein.data.frame_axes import frame_size, is_length
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, quoted
 from freerein.types.common import check_name
 
 _INDICES = frozenset(("timestamp", "frame_index", "episode_index", "index", "task_index"))
@@ -14,8 +14,6 @@ _ACTION = "action"
 SUBTASK_COLUMNS = ("subtask_index", "language_persistent")
 _MOST_NUMBERS = 10_000
 """Of an action, or of a state."""
-
-_LONGEST_NAME = 64
 
 
 @dataclass(frozen=True)
@@ -40,13 +38,7 @@ DEFAULTS = LeRobotOptions()
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera whose frames can be read.
-
-    Attributes:
-        key: The feature.
-        size: (H, W, C) in pixels.
-        is_video: Whether frames are in mp4 files, not in the data files.
-    """
+    """The feature of a camera whose frames (H, W, C) can be read: from the data files, or from mp4 files."""
 
     key: str
     size: tuple[int, int, int]
@@ -55,12 +47,9 @@ class Camera:
 
 @dataclass(frozen=True)
 class Vector:
-    """Columns that together hold a vector.
+    """Columns, of these sizes, that together hold a vector; `is_discrete` where it is one int64.
 
-    Attributes:
-        columns: The size of each, in order.
-        names: Meaning of each number; may be empty.
-        is_discrete: Whether it is one int64.
+    `names` are the meaning of each number; they may be empty.
     """
 
     columns: Mapping[str, int]
@@ -75,15 +64,7 @@ class Vector:
 
 @dataclass(frozen=True)
 class Features:
-    """The features that are read.
-
-    Attributes:
-        cameras: By name.
-        action: Empty where there is none.
-        state: The robot's own; likewise.
-        terminated: The column of the terminations; empty where there is none.
-        left_out: Why each of the other features is not read.
-    """
+    """The features that are read, empty where there is none, and why each of the others is not."""
 
     cameras: Mapping[str, Camera]
     action: Vector
@@ -105,15 +86,9 @@ def described(features: object) -> dict[str, dict[str, Any]]:
 def choose(
     features: Mapping[str, dict[str, Any]], options: LeRobotOptions, *, unlocated: Sequence[str] = ()
 ) -> Features:
-    """Returns what to read of features.
+    """Returns what to read of features; of the `unlocated` ones `meta/episodes` does not say where their video lies.
 
-    Args:
-        features: As `described`.
-        options: Their names.
-        unlocated: Those of video of which `meta/episodes` does not say where it lies.
-
-    Raises:
-        InvalidInput: There is no camera that can be read, or no such feature as chosen, or one of another kind.
+    Raises InvalidInput where there is no camera that can be read, or no such feature as chosen, or one of another kind.
     """
     found, unreadable = _cameras(features, unlocated)
     cameras = _chosen_cameras(found, unreadable, options.cameras)
@@ -155,15 +130,15 @@ def _chosen_cameras(cameras: dict[str, Camera], unreadable: dict[str, str], aske
     for each in asked:
         is_known = each in cameras or any(each == camera.key for camera in cameras.values())
         if not is_known:
-            reason = next((why for key, why in unreadable.items() if each in (key, _short(key))), "")
+            reason = unreadable.get(each) or unreadable.get(layout.camera_key(each))
             raise InvalidInput(
-                f"The camera {shown(each)} must be among those that can be read, {_listed(cameras)}; "
+                f"The camera {quoted(each)} must be among those that can be read, {_listed(cameras)}; "
                 f"{f'it is not: {reason}' if reason else 'there is none of this name'}.",
                 field="cameras",
                 hint="Choose another.",
             )
     if not cameras:
-        found = "; ".join(f"{shown(key)} cannot be read: {why}" for key, why in unreadable.items())
+        found = "; ".join(f"{quoted(key)} cannot be read: {why}" for key, why in unreadable.items())
         raise InvalidInput(
             f"`info.json` must describe a camera that can be read; {found or 'it describes none'}.",
             hint="A camera is a feature of dtype image or video; open the dataset in LeRobot to see its shape.",
@@ -171,10 +146,6 @@ def _chosen_cameras(cameras: dict[str, Camera], unreadable: dict[str, str], aske
     chosen = {name: each for name, each in cameras.items() if not asked or name in asked or each.key in asked}
     unreadable |= {each.key: "another was chosen" for name, each in cameras.items() if name not in chosen}
     return chosen
-
-
-def _short(key: str) -> str:
-    return key.removeprefix(layout.CAMERA_PREFIX)
 
 
 def _is_name(name: str) -> bool:
@@ -230,7 +201,7 @@ def _check_known(features: Mapping[str, object], keys: Sequence[str], field: str
     if unknown or len(set(keys)) != len(keys):
         raise InvalidInput(
             f"The features of `{field}` must be among the dataset's, {_listed(features)}, each once; "
-            f"{shown(unknown[0]) + ' is not' if unknown else 'one is named twice'}.",
+            f"{quoted(unknown[0]) + ' is not' if unknown else 'one is named twice'}.",
             field=field,
             hint=f"For example: --{field} {next(iter(features), field)}.",
         )
@@ -272,10 +243,4 @@ def _hint(key: str, feature: Mapping[str, Any], action: Vector, state: Vector) -
 
 
 def _listed(names: Mapping[str, object] | Sequence[str]) -> str:
-    return ", ".join(map(shown, names)) or "none"
-
-
-def shown(name: str) -> str:
-    """Returns a name of another tool for an error: printable, and not too long."""
-    printable = "".join(each if each.isprintable() and each != "`" else "?" for each in name)
-    return f"`{printable if len(printable) <= _LONGEST_NAME else printable[:_LONGEST_NAME] + '...'}`"
+    return ", ".join(map(quoted, names)) or "none"

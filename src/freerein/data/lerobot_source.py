@@ -10,12 +10,11 @@ import numpy.typing as npt
 
 from freerein.data.annotations import read_tags
 from freerein.data.importing import Recorded, Source
-from freerein.data.layout import DatasetSpec
-from freerein.data.lerobot_features import DEFAULTS, LeRobotOptions, shown
-from freerein.data.proportions import are_stretched, stretch_notes
+from freerein.data.lerobot_features import DEFAULTS, LeRobotOptions
 from freerein.data.reader import Dataset
 from freerein.data.timestep_texts import TextKind, TimestepTexts
-from freerein.errors import InvalidInput, NotFound, UnsupportedMedia
+from freerein.data.videos import are_stretched, stretch_notes
+from freerein.errors import InvalidInput, NotFound, UnsupportedMedia, quoted
 from freerein.types.common import Trajectory
 from freerein.types.segmentation import NO_SKILL
 
@@ -64,19 +63,14 @@ class LeRobotSource(Source):
         self._label_texts = TimestepTexts(folder, self._dataset, labels_from) if labels_from else None
         self._damaged, self._changed = list[str](), list[str]()
         self._tags = tags
-
-    @cached_property
-    def spec(self) -> DatasetSpec:
-        """Properties that they share."""
         own = self._dataset.spec
-        unreadable = self._unreadable
         cameras = {
-            name: (*(self._size or (height, width)), channels)
+            name: (*(size or (height, width)), channels)
             for name, (height, width, channels) in own.cameras.items()
-            if name not in unreadable
+            if name not in self._unreadable
         }
         skills = sorted({skill for each in self._skills for skill in each})
-        return replace(own, cameras=cameras, skills=tuple(skills) or own.skills)
+        self.spec = replace(own, cameras=cameras, skills=tuple(skills) or own.skills)
 
     def __len__(self) -> int:
         return len(self._dataset)
@@ -89,8 +83,14 @@ class LeRobotSource(Source):
         index = 0
         while index < len(self):
             try:
-                for trajectory in self._stream(range(index, len(self))):
-                    recorded = self._recorded(index, trajectory)
+                items, cameras = range(index, len(self)), tuple(self.spec.cameras)
+                for trajectory in self._dataset.stream(items, cameras=cameras, size=self._size):
+                    recorded = Recorded(
+                        replace(trajectory, skills=self._skills[index]),
+                        robot_state=self._dataset.robot_state(index),
+                        labels=self._labels(index, self._label_texts) if self._label_texts else None,
+                        name=f"Trajectory {self._dataset.episodes[index]}",
+                    )
                     index += 1
                     yield recorded
             except (InvalidInput, UnsupportedMedia) as error:
@@ -108,13 +108,14 @@ class LeRobotSource(Source):
         """What is left out and why, and cameras whose frames are stretched."""
         left_out = {**self._dataset.left_out, **self._unreadable}
         own = self._dataset.spec.cameras
-        stretched = {name: own[name][:2] for name in self.spec.cameras if self._is_stretched(own[name])}
+        size = self._size
+        stretched = {name: own[name][:2] for name in self.spec.cameras if size and are_stretched(own[name], size)}
         return (
-            *(f"{shown(name)} is left out: {why}." for name, why in left_out.items()),
+            *(f"{quoted(name)} is left out: {why}." for name, why in left_out.items()),
             *self._numbering(),
             *self._tasks(),
             *self._changed,
-            *stretch_notes(stretched, self._size),
+            *stretch_notes(stretched, size),
             *self._losses(),
         )
 
@@ -153,17 +154,6 @@ class LeRobotSource(Source):
                 raise
             return ()  # the trajectory is left out when its actions are read
 
-    def _stream(self, items: Sequence[int]) -> Iterator[Trajectory]:
-        return self._dataset.stream(items, cameras=tuple(self.spec.cameras), size=self._size)
-
-    def _recorded(self, index: int, trajectory: Trajectory) -> Recorded:
-        return Recorded(
-            replace(trajectory, skills=self._skills[index]),
-            robot_state=self._dataset.robot_state(index),
-            labels=self._labels(index, self._label_texts) if self._label_texts else None,
-            name=f"Trajectory {self._dataset.episodes[index]}",
-        )
-
     def _labels(self, index: int, source: TimestepTexts) -> npt.NDArray[np.int64]:
         """Returns the true label of each timestep, int64 (T,)."""
         texts = source.of_timesteps(index)
@@ -171,13 +161,10 @@ class LeRobotSource(Source):
         if unknown:
             raise InvalidInput(
                 f"The labels of trajectory {self._dataset.episodes[index]} must be among its tags; {len(unknown)} are "
-                f"not, such as {shown(min(unknown))}.",
+                f"not, such as {quoted(min(unknown))}.",
                 hint="Take the tags from the same texts, with --tags-from.",
             )
         return np.array([self.spec.skills.index(text) if text else NO_SKILL for text in texts], np.int64)
-
-    def _is_stretched(self, shape: tuple[int, int, int]) -> bool:
-        return self._size is not None and are_stretched(shape, self._size)
 
     def _numbering(self) -> Iterator[str]:
         episodes = self._dataset.episodes

@@ -36,17 +36,15 @@ def read_episodes(root: Path, videos: Sequence[str], *, skip_damaged: bool) -> t
     Raises:
         InvalidInput: A file is corrupt, a number is missing or out of range, or an episode is listed twice.
     """
-    folder = root / "meta" / "episodes"
     names = [*_INTEGERS, *_LISTS, *(name for key in videos for name in _video_columns(key))]
     tables, damaged = list[pa.Table](), dict[str, str]()
-    for each in layout.numbered_files(folder):
-        file = layout.numbered(folder, chunk=each.chunk, file=each.file).relative_to(root).as_posix()
+    for each in layout.numbered_files(root / "meta" / "episodes"):
         try:
-            tables.append(read_columns(root, file, names))
+            tables.append(read_columns(root, each.path, names))
         except InvalidInput:
             if not skip_damaged:
                 raise
-            damaged[file] = "damaged, so that its episodes are unknown"
+            damaged[each.path.relative_to(root).as_posix()] = "damaged, so that its episodes are unknown"
     with corrupt_as_invalid(_EPISODES):
         joined = pa.concat_tables(map(_with_lists, tables), promote_options="permissive").combine_chunks()
         for name in _INTEGERS:
@@ -56,12 +54,13 @@ def read_episodes(root: Path, videos: Sequence[str], *, skip_damaged: bool) -> t
     return joined, damaged
 
 
-def read_columns(root: Path, file: str, names: Sequence[str]) -> pa.Table:
+def read_columns(root: Path, path: Path, names: Sequence[str]) -> pa.Table:
     """Returns those of the columns that a parquet file of a dataset has; all where none is named.
 
     Raises InvalidInput, with the name of the file, where it is missing or corrupt, or has too many rows.
     """
-    with corrupt_as_invalid(f"`{file}`"), open_regular(root / file, name=file) as opened:
+    file = path.relative_to(root).as_posix()
+    with corrupt_as_invalid(f"`{file}`"), open_regular(path, name=file) as opened:
         parquet = pq.ParquetFile(opened)
         if parquet.metadata.num_rows > MOST_ROWS:
             raise ValueError("too many rows")
@@ -111,12 +110,9 @@ def video_spans(root: Path, episodes: pa.Table, key: str, *, fps: int) -> tuple[
 def read_texts(root: Path, file: str, noun: str) -> dict[int, str]:
     """Returns the texts of `tasks.parquet`, or of a table like it, by their index.
 
-    Args:
-        root: The dataset's folder.
-        file: The table, relative to it.
-        noun: Name of the column of the texts, and of that of their indices before `_index`.
+    `noun` is the name of the column of the texts, and of that of their indices before `_index`.
     """
-    table = read_columns(root, file, ())
+    table = read_columns(root, root / file, ())
     named = [name for name in table.column_names if name == noun] or table.column_names
     texts = next((table[name] for name in named if is_text(table[name].type)), None)
     if texts is None:

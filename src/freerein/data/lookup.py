@@ -5,7 +5,7 @@ from pathlib import Path
 
 from freerein.data.layout import dataset_path
 from freerein.data.reader import Dataset
-from freerein.errors import InvalidInput, NotFound
+from freerein.errors import InvalidInput, NotFound, must_be
 
 
 def open_dataset(data_dir: Path, name: str) -> Dataset:
@@ -29,11 +29,9 @@ def choose_cameras(dataset: Dataset, asked: Sequence[str]) -> tuple[str, ...]:
     cameras = tuple(dataset.spec.cameras)
     chosen = tuple(asked) or cameras[:1]
     if len(set(chosen)) != len(chosen) or not set(chosen) <= set(cameras):
-        raise InvalidInput(
-            f"`cameras` must be among the dataset's, {', '.join(cameras)}, each once; got others, or one twice.",
-            field="config.cameras",
-            hint=f"For example: --set cameras={cameras[0]}.",
-        )
+        rule = f"among the dataset's, {', '.join(cameras)}, each once"
+        hint = f"For example: --set cameras={cameras[0]}."
+        raise must_be("`cameras`", rule, "others, or one twice", field="config.cameras", hint=hint)
     return chosen
 
 

@@ -114,8 +114,8 @@ def load(root: Path, spec: DatasetSpec) -> tuple[pa.Table, bool]:
     is_current = valid == stored.num_rows == len(files) and read_counts(root) == (len(files), frames)
     recorded, given = extended(table, rows), tags.read(root)
     tagged = with_tags(recorded, given) if given else recorded
-    is_current = is_current and tagged["skills"].equals(recorded["skills"])
-    return tagged, is_current and all((root / name).is_file() for name in _FILES)
+    has_tags = tagged["skills"].equals(recorded["skills"])
+    return tagged, is_current and has_tags and all((root / name).is_file() for name in _FILES)
 
 
 def with_tags(episodes: pa.Table, given: Tags) -> pa.Table:
@@ -252,10 +252,8 @@ def read_teachers(root: Path) -> list[dict[str, Any]]:
     try:
         return [dict(card) for card in json_files.read(path, name=layout.TEACHERS_FILE)]
     except (ValueError, TypeError):
-        raise InvalidInput(
-            "`teachers.json` must hold the cards of policies as freerein wrote them; it does not.",
-            hint="Restore it from a copy.",
-        ) from None
+        sentence = "`teachers.json` must hold the cards of policies as freerein wrote them; it does not."
+        raise InvalidInput(sentence, hint="Restore it from a copy.") from None
 
 
 def _with_quantiles(stored: pa.Table, schema: pa.Schema) -> pa.Table:

@@ -60,7 +60,7 @@ class MimeSource(Source):
             )
         self._joints = tuple(sorted(set(_angles(self._demonstrations[0])[0]) - set(_STILL)))
         names = (*self._joints, *_GRIPPERS)
-        self._spec = DatasetSpec(
+        self.spec = DatasetSpec(
             fps=_FPS,
             cameras={_CAMERA: (*self._size, 1)},
             action=ActionSpec(size=len(names), choices=0, names=names),
@@ -68,11 +68,6 @@ class MimeSource(Source):
             skills=tuple(sorted({_REACH, *map(_task, self._demonstrations)})),
             has_scaled_actions=False,
         )
-
-    @property
-    def spec(self) -> DatasetSpec:
-        """Properties that the trajectories share."""
-        return self._spec
 
     def __len__(self) -> int:
         return len(self._demonstrations)
@@ -87,8 +82,7 @@ class MimeSource(Source):
 
     def _frames(self, demonstration: Path) -> npt.NDArray[np.uint8]:
         """Returns the frames at the dataset's rate, uint8 (T, H, W, 1)."""
-        _check_there(demonstration, _VIDEO)
-        name = _name(demonstration, _VIDEO)
+        name = _present(demonstration, _VIDEO)
         with open_video(demonstration / _VIDEO, channels=1, size=self._size, bounds=BOUNDS, field=name) as video:
             sampled = frames_at_rate(video, fps=_FPS, file=name)
             return joined((frame.pixels for frame in sampled), (*self._size, 1))
@@ -128,22 +122,20 @@ def _spread(values: npt.NDArray[np.float64], length: int) -> npt.NDArray[np.floa
 
 
 def _text(demonstration: Path, file: str) -> str:
-    _check_there(demonstration, file)
-    return read_regular(demonstration / file, name=_name(demonstration, file)).decode(errors="replace")
+    return read_regular(demonstration / file, name=_present(demonstration, file)).decode(errors="replace")
 
 
-def _check_there(demonstration: Path, file: str) -> None:
+def _present(demonstration: Path, file: str) -> str:
+    """Returns the name of a file in errors; raises InvalidInput where it is missing."""
+    name = _name(demonstration, file)
     if not (demonstration / file).is_file():
-        raise InvalidInput(
-            f"`{_name(demonstration, file)}` must be there; it is missing.", hint="Restore it, or move the folder away."
-        )
+        raise InvalidInput(f"`{name}` must be there; it is missing.", hint="Restore it, or move the folder away.")
+    return name
 
 
 def _corrupt(demonstration: Path, file: str, expected: str) -> InvalidInput:
-    return InvalidInput(
-        f"`{_name(demonstration, file)}` must hold {expected}; it does not.",
-        hint="Restore it from a copy, or move the folder away.",
-    )
+    sentence = f"`{_name(demonstration, file)}` must hold {expected}; it does not."
+    return InvalidInput(sentence, hint="Restore it from a copy, or move the folder away.")
 
 
 def _name(demonstration: Path, file: str) -> str:

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -15,8 +15,10 @@ import pyarrow as pa
 
 from freerein import images
 from freerein.data import layout, lerobot, meta, tags
-from freerein.data.cache import StepCache, open_or_build
+from freerein.data.cache import D, StepCache, open_or_build
 from freerein.data.episode_files import EpisodeFiles
+from freerein.data.layout import DatasetSpec
+from freerein.data.lerobot import LeRobotMeta
 from freerein.data.lerobot_features import DEFAULTS, LeRobotOptions
 from freerein.data.trajectory_file import (
     Actions,
@@ -27,8 +29,8 @@ from freerein.data.trajectory_file import (
     decode_state,
     decode_terminations,
 )
-from freerein.data.videos import VideoSpan, video_frames
-from freerein.errors import InvalidInput, UnsupportedMedia
+from freerein.data.videos import video_frames
+from freerein.errors import InvalidInput, UnsupportedMedia, must_be, quoted
 from freerein.regular_files import open_regular
 from freerein.types.common import Trajectory
 
@@ -61,21 +63,10 @@ class Dataset:
     def __init__(self, root: Path, options: LeRobotOptions = DEFAULTS) -> None:
         self._root = root
         spec, given = meta.read_spec(root), tags.read(root)
-        if spec is None:
-            foreign = lerobot.read(root, options)
-            self.spec, table, self._keys = foreign.spec, foreign.episodes, foreign.camera_keys
-            self._videos, self.left_out = foreign.videos, foreign.left_out
-            self._action_columns, self._state_columns = foreign.action_columns, foreign.state_columns
-            if given:
-                self.spec, table = replace(foreign.spec, skills=given.skills), meta.with_tags(table, given)
-            self._terminated_key = foreign.terminated_key
-        else:
-            self.spec, table = spec, meta.load_and_repair(root, spec)
-            self._keys = {camera: layout.camera_key(camera) for camera in spec.cameras}
-            self._videos, self.left_out = dict[str, tuple[VideoSpan, ...]](), dict[str, str]()
-            self._action_columns = {"action": spec.action.size} if spec.has_actions else {}
-            self._state_columns = {layout.STATE_KEY: spec.robot_state_size}
-            self._terminated_key = layout.TERMINATED_KEY if spec.has_terminations else ""
+        self._meta = lerobot.read(root, options) if spec is None else _own(root, spec)
+        self.spec, table, self.left_out = self._meta.spec, self._meta.episodes, self._meta.left_out
+        if spec is None and given:
+            self.spec, table = replace(self.spec, skills=given.skills), meta.with_tags(table, given)
         self.episodes: tuple[int, ...] = tuple(table["episode_index"].to_pylist())
         self.lengths: npt.NDArray[np.int64] = table["length"].to_numpy().astype(np.int64)
         self.skills = tuple(tuple(skills) for skills in table["skills"].to_pylist())
@@ -132,7 +123,7 @@ class Dataset:
         """Returns the actions of one trajectory, float32 (T, A) or int64 (T, 1), without decoding its frames."""
         index = range(len(self))[index]
         with self._named(index):
-            return decode_actions(self._rows(index, [*self._action_columns]), self.spec, self._action_columns)
+            return decode_actions(self._rows(index, [*self._meta.action_columns]), self.spec, self._meta.action_columns)
 
     def robot_state(self, index: int) -> State | None:
         """Returns the robot's own state in one trajectory, float32 (T, S) in its own units; None where it is not kept.
@@ -143,7 +134,7 @@ class Dataset:
             return None
         index = range(len(self))[index]
         with self._named(index):
-            return decode_state(self._rows(index, [*self._state_columns]), self._state_columns)
+            return decode_state(self._rows(index, [*self._meta.state_columns]), self._meta.state_columns)
 
     def stored_columns(self, index: int, names: Sequence[str]) -> pa.Table:
         """Returns columns of a trajectory's data file as they are stored; raises InvalidInput where one is missing."""
@@ -168,7 +159,7 @@ class Dataset:
     def _data_sha256(self) -> str:
         if self._hashes is not None:
             return hashlib.sha256("\n".join(self._hashes).encode()).hexdigest()
-        spans = [span for spans in self._videos.values() for span in spans]
+        spans = [span for spans in self._meta.videos.values() for span in spans]
         files = dict.fromkeys([*self._files.paths, *(span.root / span.file for span in spans)])
         listed = [self.episodes, self.lengths.tolist(), [span.start_s for span in spans]]
         hashes = [*(_sha256(path) for path in files), json.dumps(listed)]
@@ -179,17 +170,13 @@ class Dataset:
 
         Raises:
             InvalidInput: The dataset is empty or has no such camera; or as `dataset[i]`.
-            FailedPrecondition: The disk is too small for the decoded frames.
+            OutOfStorage: The disk is full, or too small for the decoded frames.
         """
         if camera not in self.spec.cameras:
-            raise InvalidInput(
-                f"`camera` must be one of {', '.join(self.spec.cameras)}; got another name.",
-                field="camera",
-                hint="Choose a camera that the dataset has.",
-            )
-        parts = self._frames(range(len(self)), camera)
-        path, shape = self._cache_file(f"frames-{camera}"), self.spec.cameras[camera]
-        return open_or_build(path, dtype=np.dtype(np.uint8), shape=shape, lengths=self.lengths, parts=parts)
+            rule, hint = f"one of {', '.join(self.spec.cameras)}", "Choose a camera that the dataset has."
+            raise must_be("camera", rule, quoted(camera), hint=hint)
+        parts, shape = self._frames(range(len(self)), camera), self.spec.cameras[camera]
+        return self._cached(f"frames-{camera}", parts, np.dtype(np.uint8), shape)
 
     def cached_actions(self) -> StepCache[np.float32] | StepCache[np.int64]:
         """Returns the actions of all trajectories, read once and mapped into memory.
@@ -201,29 +188,15 @@ class Dataset:
         if not self.spec.has_actions:
             return StepCache(np.empty((self.lengths.sum(), 0), np.float32), np.append(0, self.lengths.cumsum()))
         parts = (self.actions(index) for index in range(len(self)))
-        shape, dtype = (self.spec.action.size,), self.spec.action.dtype
-        cache = open_or_build(self._cache_file("actions"), dtype=dtype, shape=shape, lengths=self.lengths, parts=parts)
+        cache = self._cached("actions", parts, self.spec.action.dtype, (self.spec.action.size,))
         return cast(StepCache[np.float32] | StepCache[np.int64], cache)
 
-    def cached_terminations(self) -> StepCache[np.bool_] | None:
-        """Returns `terminated` of all trajectories, read once and mapped into memory; None where it is unknown.
-
-        Raises:
-            InvalidInput: The dataset is empty; or as `dataset[i]`.
-            OutOfStorage: The disk is full.
-        """
-        if not self.spec.has_terminations:
-            return None
-        parts = (cast(npt.NDArray[np.bool_], self._actions_and_terminations(index)[1]) for index in range(len(self)))
-        path = self._cache_file("terminations")
-        return open_or_build(path, dtype=np.dtype(np.bool_), shape=(), lengths=self.lengths, parts=parts)
-
     def _actions_and_terminations(self, index: int) -> tuple[Actions, npt.NDArray[np.bool_] | None]:
-        terminated = [self._terminated_key] if self.spec.has_terminations else []
+        columns, key = self._meta.action_columns, self._meta.terminated_key
         with self._named(index):
-            rows = self._rows(index, [*self._action_columns, *terminated])
-            actions = decode_actions(rows, self.spec, self._action_columns)
-            return actions, decode_terminations(rows, key=self._terminated_key) if terminated else None
+            rows = self._rows(index, [*columns, key] if key else [*columns])
+            actions = decode_actions(rows, self.spec, columns)
+            return actions, decode_terminations(rows, key=key) if key else None
 
     def _rows(self, index: int, columns: Sequence[str]) -> pa.Table:
         return self._files.rows(self.episodes[index], columns, length=int(self.lengths[index]))
@@ -232,7 +205,7 @@ class Dataset:
         self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None = None, most: int | None = None
     ) -> Iterator[npt.NDArray[np.uint8]]:
         """Yields the frames of one camera, uint8 (T, H, W, C), at most the first `most` of each trajectory."""
-        read = self._video_frames if camera in self._videos else self._image_frames
+        read = self._video_frames if camera in self._meta.videos else self._image_frames
         frames = read(items, camera, size=size, most=most)
         for index in items:
             with self._named(index, camera):
@@ -243,7 +216,7 @@ class Dataset:
         self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None, most: int | None
     ) -> Iterator[npt.NDArray[np.uint8]]:
         height, width, channels = self.spec.cameras[camera]
-        spans = [self._videos[camera][index] for index in items]
+        spans = [self._meta.videos[camera][index] for index in items]
         cut = [replace(span, length=min(span.length, most or span.length)) for span in spans]
         scaled = (*(size or (height, width)), channels)
         return video_frames(cut, fps=self.spec.fps, size=scaled, declared=(height, width))
@@ -251,9 +224,11 @@ class Dataset:
     def _image_frames(
         self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None, most: int | None
     ) -> Iterator[npt.NDArray[np.uint8]]:
+        key = self._meta.camera_keys[camera]
         for index in items:
-            rows = self._rows(index, [self._keys[camera]]).slice(0, most)
-            frames = decode_frames(rows, camera_key=self._keys[camera], size=self.spec.cameras[camera])
+            frames = decode_frames(
+                self._rows(index, [key]).slice(0, most), camera_key=key, size=self.spec.cameras[camera]
+            )
             yield images.resize(frames, size) if size else frames
 
     @contextmanager
@@ -262,7 +237,7 @@ class Dataset:
         try:
             yield
         except (InvalidInput, UnsupportedMedia) as error:
-            place = f"camera `{camera}`" if camera in self._videos else self._files.name(self.episodes[index])
+            place = f"camera `{camera}`" if camera in self._meta.videos else self._files.name(self.episodes[index])
             detail = f"Trajectory {self.episodes[index]}, {place}: {error.detail}"
             raise type(error)(detail, field=error.field, hint=error.hint) from None
         except MemoryError:
@@ -272,8 +247,23 @@ class Dataset:
                 hint="Import the dataset with smaller ones, --size 96x128, or cut the trajectory.",
             ) from None
 
-    def _cache_file(self, name: str) -> Path:
-        return self._root / "cache" / self._data_sha256[:16] / f"{name}.raw"
+    def _cached(
+        self, name: str, parts: Iterable[npt.NDArray[D]], dtype: np.dtype[D], shape: tuple[int, ...]
+    ) -> StepCache[D]:
+        path = self._root / "cache" / self._data_sha256[:16] / f"{name}.raw"
+        return open_or_build(path, dtype=dtype, shape=shape, lengths=self.lengths, parts=parts)
+
+
+def _own(root: Path, spec: DatasetSpec) -> LeRobotMeta:
+    """Returns the metadata of a dataset that freerein wrote."""
+    return LeRobotMeta(
+        spec,
+        meta.load_and_repair(root, spec),
+        camera_keys={camera: layout.camera_key(camera) for camera in spec.cameras},
+        action_columns={"action": spec.action.size} if spec.has_actions else {},
+        state_columns={layout.STATE_KEY: spec.robot_state_size},
+        terminated_key=layout.TERMINATED_KEY if spec.has_terminations else "",
+    )
 
 
 def _sha256(path: Path) -> str:

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 
-from freerein.data.camera_names import is_named_like_a_camera
 from freerein.data.image_names import in_order
 from freerein.errors import InvalidInput, NotFound
 
@@ -31,7 +30,7 @@ _NOTES = frozenset((".csv", ".json", ".md", ".txt"))
 """Of files beside images and videos that may be there and are not read, but for the tables."""
 
 _SYSTEM = frozenset(
-    (
+    [
         "thumbs.db",
         "ehthumbs.db",
         "desktop.ini",
@@ -43,11 +42,30 @@ _SYSTEM = frozenset(
         "$recycle.bin",
         "system volume information",
         "lost+found",
-    )
+    ]
 )
 """Names, in lower case, of files and folders that operating systems and storage devices make by themselves."""
 
 _MOST_NAMED = 3
+
+_DEVICE = re.compile(
+    r"""
+    \w*cams? | \w*cameras? | \w*views? | lens | sensor | kinect | realsense | zed | azure | orbbec | oak | basler
+    | logitech | gopro | usb | phone | iphone | ipad | images? | imgs? | pictures? | pics? | photos? | frames? | pixels
+    | video | observation | colou?r | rgb | gr[ae]y | depth | ir | infrared | mono | stereo | fisheye
+    """,
+    re.VERBOSE,
+)
+_PLACE = re.compile(
+    r"""
+    left | right | top | bottom | upper | lower | high | low | front | back | rear | side | cent(?:er|re|ral)
+    | overhead | ceiling | bird | birdseye | ego | egocentric | ext | external | exo | exterior | first | third | person
+    | main | primary | secondary | global | scene | static | wide | table | workspace | robot | wrist | in | (?:in)?hand
+    | eye | gripper | head | chest | shoulder | base
+    """,
+    re.VERBOSE,
+)
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
 
 Files = Path | tuple[Path, ...]
 """A video, or images in order."""
@@ -159,11 +177,11 @@ def _check_all_read(unread: Sequence[Path]) -> None:
         return
     named = ", ".join(f"`{each.parent.name}/{each.name}`" for each in unread[:_MOST_NAMED])
     others = f" and {len(unread) - _MOST_NAMED} others" if len(unread) > _MOST_NAMED else ""
+    they_are, them = ("it is", "it") if len(unread) == 1 else ("they are", "them")
     raise InvalidInput(
         f"{named}{others} must be a folder of images, an image (PNG, JPEG or WebP) or a video (mp4 or mov); "
-        f"{'it is' if len(unread) == 1 else 'they are'} not.",
-        hint=f"Convert {'it' if len(unread) == 1 else 'them'}, a video by ffmpeg -i IN -c:v libx264 OUT.mp4, or move "
-        f"{'it' if len(unread) == 1 else 'them'} out of the folder.",
+        f"{they_are} not.",
+        hint=f"Convert {them}, a video by ffmpeg -i IN -c:v libx264 OUT.mp4, or move {them} out of the folder.",
     )
 
 
@@ -205,7 +223,7 @@ def _check_look_like_cameras(found: Sequence[Recording]) -> None:
     is_alike = len(found) > 1 and all(len(each) <= 1 for each in lengths)
     for recording in found:
         for name in recording.cameras:
-            if not is_named_like_a_camera(name) and (not is_alike or any(map(str.isdecimal, name))):
+            if not _is_named_like_a_camera(name) and (not is_alike or any(map(str.isdecimal, name))):
                 raise InvalidInput(
                     f"`{recording.name}/{name}` must be named like a camera, such as `{recording.name}/top`: it may be "
                     "a trajectory itself.",
@@ -225,3 +243,12 @@ def _check_different(names: Sequence[str], folder: Path, noun: str) -> None:
 
 def _is_video(path: Path) -> bool:
     return path.is_file() and path.suffix.lower() in _VIDEOS
+
+
+def _is_named_like_a_camera(name: str) -> bool:
+    """Returns whether a name has a word for a camera, or only words for where one is.
+
+    `wrist_1` and `left-turn-cam` do, `left-turn-1` and `take-1` do not.
+    """
+    words = [word.lower() for word in _WORD.findall(name)]
+    return any(map(_DEVICE.fullmatch, words)) or (bool(words) and all(map(_PLACE.fullmatch, words)))

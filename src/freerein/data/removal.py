@@ -45,9 +45,6 @@ def prune(datasets: Path) -> int:
 
     A fit that reads decoded frames goes on: their space is free when it ends. Those being made stay, and so do files
     and folders that freerein did not name, and what links lead to.
-
-    Args:
-        datasets: Folder of the datasets.
     """
     freed = 0
     for cache in datasets.glob("*/cache"):

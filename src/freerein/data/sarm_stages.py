@@ -25,7 +25,7 @@ def proportions(segments: Segments) -> dict[str, float]:
     shares, middles = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
     for some in segments.values():
         durations = defaultdict[str, int](int)
-        for each in filter(_is_stage, some):
+        for each in (each for each in some if each.skill):
             durations[each.skill] += each.end - each.start
             middles[each.skill].append((each.start + each.end) / 2 / some[-1].end)
         for skill, duration in durations.items():
@@ -40,7 +40,8 @@ def with_stages(episodes: pa.Table, segments: Segments, *, fps: int) -> pa.Table
     Frames are the first and the last one of a stage, as SARM reads them; a stage ends, in seconds, where the next
     begins.
     """
-    stages = [list(filter(_is_stage, segments.get(number, ()))) for number in episodes["episode_index"].to_pylist()]
+    numbers = episodes["episode_index"].to_pylist()
+    stages = [[each for each in segments.get(number, ()) if each.skill] for number in numbers]
     columns = {
         "subtask_names": ([[each.skill for each in some] for some in stages], _TEXTS),
         "subtask_start_times": ([[each.start / fps for each in some] for some in stages], _TIMES),
@@ -63,7 +64,3 @@ def other_stages(episodes: pa.Table, segments: Segments, *, fps: int) -> str:
         if any(theirs and theirs != own for theirs, own in pairs):
             return name
     return ""
-
-
-def _is_stage(segment: LabelSegment) -> bool:
-    return bool(segment.skill)

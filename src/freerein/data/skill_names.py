@@ -40,7 +40,9 @@ class SkillNames:
         name = " ".join(normal(text).split())
         if name not in self._known:
             _check_apart(normal(text))
-            name = self._folded(_checked(name))
+            if not 0 < len(name) <= _LONGEST or not name.isprintable():
+                raise ValueError(f"hold names of 1 to {_LONGEST} characters, separated by `{SEPARATOR}`; it does not")
+            name = self._folded(name)
         return name
 
     def _folded(self, name: str) -> str:
@@ -56,12 +58,6 @@ def _check_apart(name: str) -> None:
     if separator:
         shown = f"a `{separator}`" if separator.isprintable() else "a tab or a new line"
         raise ValueError(f"separate skills by `{SEPARATOR}`, such as reach;pour; it has {shown} in a name")
-
-
-def _checked(name: str) -> str:
-    if not 0 < len(name) <= _LONGEST or not name.isprintable():
-        raise ValueError(f"hold names of 1 to {_LONGEST} characters, separated by `{SEPARATOR}`; it does not")
-    return name
 
 
 def _key(name: str) -> str:

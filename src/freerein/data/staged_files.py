@@ -28,7 +28,8 @@ def staged_files() -> Iterator[Callable[[Path], Path]]:
         for path, temporary in staged.items():
             if path.exists():
                 shutil.copymode(path, temporary)
-            _sync(temporary)
+            with temporary.open("rb") as file:
+                os.fsync(file.fileno())
     except BaseException:
         for temporary in staged.values():
             if temporary.is_file():
@@ -38,11 +39,3 @@ def staged_files() -> Iterator[Callable[[Path], Path]]:
         temporary.replace(path)
     for folder in {path.parent for path in staged}:
         fsync_folder(folder)
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

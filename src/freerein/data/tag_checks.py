@@ -12,12 +12,10 @@ FEWEST = 10
 
 @dataclass(frozen=True)
 class Problem:
-    """A problem of a dataset.
+    """A problem of a dataset: what was expected and found, and how to mend it.
 
     Attributes:
         where: The file, relative to the dataset, or another subject.
-        sentence: What was expected and what was found.
-        hint: How to mend it.
         severity: `error` where a fit refuses the dataset or data is damaged; `warning` where a fit learns less.
     """
 
@@ -28,12 +26,7 @@ class Problem:
 
 
 def tag_problems(skills: Sequence[str], tags: Sequence[Sequence[str]]) -> list[Problem]:
-    """Returns the problems of the tags of a dataset, errors first.
-
-    Args:
-        skills: The dataset's skills.
-        tags: The skills of each of its trajectories; empty where unknown.
-    """
+    """Returns the problems of the tags of each trajectory, empty where unknown, of a dataset of these skills."""
     return [*_errors(skills, tags), *_warnings(skills, [frozenset(each) for each in tags if each])]
 
 

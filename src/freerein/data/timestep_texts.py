@@ -9,10 +9,10 @@ from typing import Any, Literal, TypeAlias
 import pyarrow as pa
 
 from freerein.data import layout, lerobot_tables
-from freerein.data.lerobot_features import SUBTASK_COLUMNS, shown
+from freerein.data.lerobot_features import SUBTASK_COLUMNS
 from freerein.data.reader import Dataset
 from freerein.data.trajectory_file import corrupt_as_invalid
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, quoted
 
 TextKind: TypeAlias = Literal["task", "subtask"]
 
@@ -25,13 +25,7 @@ _ROUNDING_S = 1e-3
 class TimestepTexts:
     """The tasks, or the subtasks, of each trajectory of a dataset of LeRobot's.
 
-    Args:
-        root: The dataset's folder.
-        dataset: The dataset.
-        kind: Which of them.
-
-    Raises:
-        InvalidInput: There are no subtasks, or their table is corrupt.
+    Raises InvalidInput where there are no subtasks, or their table is corrupt.
     """
 
     def __init__(self, root: Path, dataset: Dataset, kind: TextKind) -> None:
@@ -40,7 +34,7 @@ class TimestepTexts:
         columns = ("task_index",) if kind == "task" else tuple(filter(dataset.left_out.__contains__, SUBTASK_COLUMNS))
         if not columns:
             raise InvalidInput(
-                f"A dataset must have subtasks in a column {' or '.join(map(shown, SUBTASK_COLUMNS))}; this one has "
+                f"A dataset must have subtasks in a column {' or '.join(map(quoted, SUBTASK_COLUMNS))}; this one has "
                 "neither.",
                 hint="Take its tasks instead, or tag it: freerein dataset tag NAME tags.csv.",
             )
@@ -57,12 +51,10 @@ class TimestepTexts:
     def of_timesteps(self, index: int) -> list[str]:
         """Returns the text of each timestep of a trajectory; empty where there is none."""
         rows = self._dataset.stored_columns(index, [self._column])[self._column]
-        if not self._column.endswith("_index"):
-            with corrupt_as_invalid(f"`{self._column}`"):
-                return _at_times(_beginnings(rows.to_pylist()), len(rows), fps=self._dataset.spec.fps)
         with corrupt_as_invalid(f"`{self._column}`"):
-            numbers = rows.cast(pa.int64()).to_pylist()
-            return [_clean(self._texts.get(each, "")) for each in numbers]
+            if not self._column.endswith("_index"):
+                return _at_times(_beginnings(rows.to_pylist()), len(rows), fps=self._dataset.spec.fps)
+            return [_clean(self._texts.get(each, "")) for each in rows.cast(pa.int64()).to_pylist()]
 
 
 def _beginnings(rows: Sequence[Sequence[dict[str, Any]] | None]) -> list[tuple[float, str]]:

@@ -68,13 +68,14 @@ def encode(
     numbers = {**vectors, **{name: column[:, None] for name, column in indices.items()}}
     columns = {layout.camera_key(name): _image_column(trajectory.frames[name]) for name in spec.cameras}
     columns |= {name: _vector_column(values) for name, values in numbers.items()}
+    found = {layout.camera_key(name): statistics.of_frames(trajectory.frames[name]) for name in spec.cameras}
+    found |= {name: statistics.of_values(column) for name, column in numbers.items()}
     footer: dict[str, Any] = {
         "spec": json.loads(dumps(spec)),
         "skills": list(trajectory.skills),
         "goal_text": trajectory.goal_text,
         "statistics": {
-            feature: {name: values.tolist() for name, values in each.items()}
-            for feature, each in _statistics(trajectory, spec, numbers).items()
+            feature: {name: values.tolist() for name, values in each.items()} for feature, each in found.items()
         },
     }
     schema = layout.data_schema(spec).with_metadata({_FOOTER_KEY: json.dumps(footer).encode()})
@@ -126,7 +127,8 @@ def _rows_of(path: Path, index: int, columns: Sequence[str]) -> pa.Table:
     """Returns the columns of an episode, and its `frame_index` where there is one, in the order of the file."""
     with corrupt_as_invalid("The data file"), open_regular(path, name=path.name) as file:
         parquet = pq.ParquetFile(file, page_checksum_verification=True)
-        groups = [group for group in range(parquet.num_row_groups) if _may_hold(parquet, group, index)]
+        ranges = {group: _episode_range(parquet, group) for group in range(parquet.num_row_groups)}
+        groups = [group for group, (least, greatest) in ranges.items() if least <= index <= greatest]
         if sum(parquet.metadata.row_group(group).num_rows for group in groups) > MOST_ROWS:
             raise ValueError("too many rows")
         order = [_ORDER] if _ORDER in parquet.schema_arrow.names else []
@@ -179,15 +181,12 @@ def decode_frames(rows: pa.Table, *, camera_key: str, size: tuple[int, int, int]
 
 def decode_actions(rows: pa.Table, spec: DatasetSpec, columns: Mapping[str, int]) -> Actions:
     """Returns the actions, float32 (T, A) or int64 (T, 1), of columns of these sizes; (T, 0) of a dataset without."""
-    parts = [_vectors(rows, key, size) for key, size in columns.items()]
-    values = np.concatenate(parts, axis=1) if parts else np.empty((len(rows), 0))
-    return cast(Actions, values.astype(spec.action.dtype))
+    return cast(Actions, _joined(rows, columns).astype(spec.action.dtype))
 
 
 def decode_state(rows: pa.Table, columns: Mapping[str, int]) -> State:
     """Returns the robot's own state, float32 (T, S), of columns of these sizes."""
-    parts = [_vectors(rows, key, size) for key, size in columns.items()]
-    return np.concatenate(parts, axis=1).astype(np.float32)
+    return _joined(rows, columns).astype(np.float32)
 
 
 def decode_terminations(rows: pa.Table, *, key: str) -> npt.NDArray[np.bool_]:
@@ -247,17 +246,19 @@ def _flat(column: pa.ChunkedArray) -> pa.Array:
     return flat
 
 
-def _vectors(rows: pa.Table, key: str, size: int) -> npt.NDArray[Any]:
-    """Returns a column of vectors, (T, size)."""
-    flat = _flat(rows[key])
-    if flat.null_count or len(flat) != len(rows) * size:
-        raise InvalidInput(
-            f"Every timestep must have {size} numbers in `{key}`; the data file holds "
-            f"{len(flat) - flat.null_count} for {len(rows)} timesteps.",
-            hint="Record the trajectory again.",
-        )
-    values: npt.NDArray[Any] = flat.to_numpy(zero_copy_only=False).reshape(len(rows), size)
-    return values
+def _joined(rows: pa.Table, columns: Mapping[str, int]) -> npt.NDArray[Any]:
+    """Returns columns of vectors of these sizes side by side, (T, D)."""
+    parts: list[npt.NDArray[Any]] = [np.empty((len(rows), 0), np.int64)]
+    for key, size in columns.items():
+        flat = _flat(rows[key])
+        if flat.null_count or len(flat) != len(rows) * size:
+            raise InvalidInput(
+                f"Every timestep must have {size} numbers in `{key}`; the data file holds "
+                f"{len(flat) - flat.null_count} for {len(rows)} timesteps.",
+                hint="Record the trajectory again.",
+            )
+        parts.append(flat.to_numpy(zero_copy_only=False).reshape(len(rows), size))
+    return np.concatenate(parts[1:] or parts, axis=1)
 
 
 def episode_ranges(path: Path) -> list[tuple[float, float]]:
@@ -270,13 +271,8 @@ def episode_ranges(path: Path) -> list[tuple[float, float]]:
         return []
 
 
-def _may_hold(parquet: pq.ParquetFile, group: int, index: int) -> bool:
-    """Returns whether a row group may hold rows of a trajectory, by its statistics where it has them."""
-    least, greatest = _episode_range(parquet, group)
-    return least <= index <= greatest
-
-
 def _episode_range(parquet: pq.ParquetFile, group: int) -> tuple[float, float]:
+    """Returns the least and greatest episode of a row group, by its statistics where it has them."""
     position = parquet.schema.names.index(_EPISODE)
     bounds = parquet.metadata.row_group(group).column(position).statistics
     is_known = bounds is not None and bounds.has_min_max and isinstance(bounds.min, int)
@@ -297,13 +293,6 @@ def _index_columns(
         "index": first_frame + t,
         "task_index": np.full_like(t, task_index),
     }
-
-
-def _statistics(
-    trajectory: Trajectory, spec: DatasetSpec, numbers: dict[str, npt.NDArray[Any]]
-) -> dict[str, FeatureStatistics]:
-    of_cameras = {layout.camera_key(name): statistics.of_frames(trajectory.frames[name]) for name in spec.cameras}
-    return of_cameras | {name: statistics.of_values(column) for name, column in numbers.items()}
 
 
 def _image_column(frames: npt.NDArray[np.uint8]) -> pa.Array:

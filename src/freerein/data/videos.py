@@ -1,6 +1,6 @@
-"""Frames of trajectories in video files: one to a file, or several, as LeRobot stores them."""
+"""Frames of trajectories in video files: one to a file, or several, as LeRobot stores them; stretched ones."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from freerein.data.proportions import are_stretched
 from freerein.errors import InvalidInput
 from freerein.video import Video, VideoBounds, VideoFrame, open_video
 
@@ -17,6 +16,9 @@ BOUNDS = VideoBounds(frames=10_000_000, memory_bytes=2**31, cpu_s=86_400, silenc
 
 _TOLERANCE = 0.25
 """Of the time between frames: time stamps are sums of rounded numbers, yet never nearer to another frame."""
+
+_ROUNDING = 1.03
+"""Ratio of proportions up to which they count as one, such as those of 1080 x 1920 and 96 x 170."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,24 @@ def check_length(span: VideoSpan, end_s: float, *, index: int, fps: int) -> Vide
             hint="Open the dataset in LeRobot: its episodes table and its videos do not belong together.",
         )
     return span
+
+
+def are_stretched(shape: tuple[int, ...], size: tuple[int, int]) -> bool:
+    """Returns whether frames (H, W, ...) have other proportions than a height and width; rounding is allowed."""
+    ratio = shape[0] * size[1] / (shape[1] * size[0])
+    return not 1 / _ROUNDING <= ratio <= _ROUNDING
+
+
+def stretch_notes(stretched: Mapping[str, tuple[int, ...]], size: tuple[int, int] | None) -> tuple[str, ...]:
+    """Returns a sentence about frames, by name, that are stretched from a height and width to `size`; none without."""
+    if not stretched or size is None:
+        return ()
+    name, (height, width) = next(iter(stretched.items()))
+    others = f" and those of {len(stretched) - 1} others" if len(stretched) > 1 else ""
+    return (
+        f"Frames of `{name}`, {height} x {width},{others} were stretched to {size[0]} x {size[1]}, of other "
+        "proportions: crop or turn them first.",
+    )
 
 
 def _open(span: VideoSpan, size: tuple[int, int, int]) -> Video:

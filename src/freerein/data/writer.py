@@ -14,7 +14,7 @@ from freerein.data.folder_locks import temporary_folder
 from freerein.data.layout import DatasetSpec
 from freerein.data.meta import Row, WriterLock
 from freerein.data.trajectory_file import Actions, State, encode
-from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
+from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, must_be
 from freerein.types.common import MAX_TEXT, Trajectory
 
 
@@ -168,39 +168,27 @@ def _check_trajectory(trajectory: Trajectory, spec: DatasetSpec) -> None:
     _check_actions(trajectory.actions, spec)
     _check_terminations(trajectory.terminated, spec, length=len(trajectory.actions))
     if set(trajectory.frames) != set(spec.cameras):
-        raise InvalidInput(
-            f"A trajectory must have frames of exactly the cameras {', '.join(sorted(spec.cameras))}; "
-            f"got {len(trajectory.frames)} cameras that are not these.",
-            field="frames",
-        )
+        rule = f"of exactly the cameras {', '.join(sorted(spec.cameras))}"
+        raise must_be("frames", rule, f"{len(trajectory.frames)} cameras that are not these")
     for camera, size in spec.cameras.items():
         frames, expected = trajectory.frames[camera], (len(trajectory.actions), *size)
         if frames.dtype != np.uint8 or frames.shape != expected:
-            raise InvalidInput(
-                f"Frames must be uint8 {expected}, as many as actions; got {frames.dtype} {frames.shape}.",
-                field=f"frames.{camera}",
-                hint="Give channels last, values 0..255.",
-            )
+            rule, hint = f"uint8 {expected}, as many as actions", "Give channels last, values 0..255."
+            raise must_be(f"frames.{camera}", rule, f"{frames.dtype} {frames.shape}", hint=hint)
     unknown = set(trajectory.skills) - set(spec.skills)
     if unknown or list(trajectory.skills) != sorted(set(trajectory.skills)):
-        raise InvalidInput(
-            f"A trajectory's skills must be sorted, different, and of the dataset's {len(spec.skills)} skills; "
-            f"got {len(trajectory.skills)}, {len(unknown)} of them unknown.",
-            field="skills",
-        )
+        rule = f"sorted, different, and of the dataset's {len(spec.skills)} skills"
+        raise must_be("skills", rule, f"{len(trajectory.skills)}, {len(unknown)} of them unknown")
     text = trajectory.goal_text
     if len(text) > MAX_TEXT or text.encode(errors="replace").decode() != text:
-        raise InvalidInput(
-            f"A goal text must have up to {MAX_TEXT} characters, all of Unicode; got {len(text)}.",
-            field="goal_text",
-            hint="Say what is to be done in one sentence.",
-        )
+        rule, hint = f"of up to {MAX_TEXT} characters, all of Unicode", "Say what is to be done in one sentence."
+        raise must_be("goal_text", rule, len(text), hint=hint)
 
 
 def _check_actions(actions: Actions, spec: DatasetSpec) -> None:
     expected = f"{spec.action.dtype} (T, {spec.action.size}) with T >= 1"
     if actions.dtype != spec.action.dtype or actions.shape[1:] != (spec.action.size,) or not len(actions):
-        raise InvalidInput(f"Actions must be {expected}; got {actions.dtype} {actions.shape}.", field="actions")
+        raise must_be("actions", expected, f"{actions.dtype} {actions.shape}")
     low, high = spec.action_bounds
     if not np.all((actions >= low) & (actions <= high)):
         raise InvalidInput(
@@ -220,11 +208,9 @@ def _check_terminations(terminated: npt.NDArray[np.bool_] | None, spec: DatasetS
             hint="Give it for all trajectories of a dataset made with `has_terminations`, and for none of another.",
         )
     if terminated is not None and (terminated.dtype != np.bool_ or terminated.shape != (length,)):
-        raise InvalidInput(
-            f"`terminated` must be bool ({length},), one per action; got {terminated.dtype} {terminated.shape}.",
-            field="terminated",
-            hint="Say for each action whether the episode terminated after it.",
-        )
+        hint = "Say for each action whether the episode terminated after it."
+        found = f"{terminated.dtype} {terminated.shape}"
+        raise must_be("terminated", f"bool ({length},), one per action", found, hint=hint)
 
 
 def _check_robot_state(state: State | None, spec: DatasetSpec, *, length: int) -> None:
@@ -234,17 +220,14 @@ def _check_robot_state(state: State | None, spec: DatasetSpec, *, length: int) -
     if state is None or not spec.robot_state_size or state.dtype != np.float32 or state.shape != shape:
         expected = f"float32 {shape}, one per action" if spec.robot_state_size else "none, as the dataset has none"
         found = "none" if state is None else f"{state.dtype} {state.shape}"
-        raise InvalidInput(f"The robot's state must be {expected}; got {found}.", field="robot_state")
+        raise must_be("The robot's state", expected, found, field="robot_state")
     if not np.all(np.isfinite(state)):
-        raise InvalidInput(
-            "The robot's state must be finite; some of its numbers are not.",
-            field="robot_state",
-            hint="Leave the feature out, with LeRobot's `lerobot-edit-dataset`, or the broken episodes.",
-        )
+        hint = "Leave the feature out, with LeRobot's `lerobot-edit-dataset`, or the broken episodes."
+        raise must_be("The robot's state", "finite", "others, too", field="robot_state", hint=hint)
 
 
 def _check_labels(labels: npt.NDArray[np.int64], spec: DatasetSpec, *, length: int) -> None:
     if labels.dtype != np.int64 or labels.shape != (length,):
-        raise InvalidInput(f"Labels must be int64 ({length},); got {labels.dtype} {labels.shape}.", field="labels")
+        raise must_be("labels", f"int64 ({length},)", f"{labels.dtype} {labels.shape}")
     if np.any((labels < 0) | (labels >= len(spec.skills))):
-        raise InvalidInput(f"Labels must be in [0, {len(spec.skills)}), the dataset's skills.", field="labels")
+        raise must_be("labels", f"in [0, {len(spec.skills)}), the dataset's skills", "others")

@@ -55,13 +55,8 @@ class AttemptStopped(BaseException):
 class AttemptRunner:
     """Makes attempts at jobs.
 
-    Args:
-        store: The jobs.
-        module: Module of the child process.
-        arguments: Its arguments after the job's folder.
-        hidden_env: Environment variables that it does not get.
-        start_child: Starts it.
-        standstill_s: Seconds without progress and CPU time after which it is ended; see `freerein.jobs.standstill`.
+    The child process is a module with arguments after the job's folder, without some environment variables. After
+    `standstill_s` without progress and CPU time it is ended; see `freerein.jobs.standstill`.
     """
 
     def __init__(
@@ -158,7 +153,11 @@ class AttemptRunner:
                 pass
         progressed = self._store.last(job_id).step > done
         if request == _STANDSTILL:
-            return AttemptResult("crashed" if progressed else "failed", progressed, _stood_still(self._standstill_s))
+            error = (
+                f"The child process did nothing for {self._standstill_s:g} s and was ended: a file or file system that "
+                "it reads does not answer. Mend that, then resume."
+            )
+            return AttemptResult("crashed" if progressed else "failed", progressed, error)
         if request:
             raise AttemptStopped
         return _result(child.wait(), _last_line(folder / "log.txt"), progressed=progressed)
@@ -250,13 +249,6 @@ def _result(code: int, last_line: str, *, progressed: bool) -> AttemptResult:
         return AttemptResult("killed", progressed, f"The child process was killed by {cause}.")
     ended = f"was killed by {name}" if code < 0 else f"ended with exit code {code}"
     return AttemptResult("crashed", progressed, f"The child process {ended}; see log.txt in the job's folder.")
-
-
-def _stood_still(after_s: float) -> str:
-    return (
-        f"The child process did nothing for {after_s:g} s and was ended: a file or file system that it reads does not "
-        "answer. Mend that, then resume."
-    )
 
 
 def _last_line(path: Path) -> str:

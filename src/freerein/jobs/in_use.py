@@ -17,15 +17,9 @@ IsNamed = Callable[[str, Mapping[str, Any]], bool]
 
 
 def check_unused(data_dir: Path, what: str, is_named: IsNamed) -> None:
-    """Checks that no fit and no run names something, unless it has ended.
+    """Raises FailedPrecondition where a fit or run that has not ended names `what`, which begins a sentence.
 
-    Args:
-        data_dir: The data directory.
-        what: What must be unused, at the beginning of a sentence.
-        is_named: Whether a job names it.
-
-    Raises:
-        FailedPrecondition: A fit or run names it, or may, for its configuration is damaged.
+    Also where one may, for its configuration is damaged.
     """
     for store in _stores(data_dir):
         for job_id in store.unfinished():

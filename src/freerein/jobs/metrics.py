@@ -22,7 +22,8 @@ class MetricsWriter:
     def __init__(self, path: Path, *, last_step: int) -> None:
         self._path = path
         lines = path.read_bytes().splitlines(keepends=True) if path.is_file() else []
-        write_atomic(path, b"".join(line for line in lines if _is_kept(line, last_step)))
+        kept = (line for line in lines if line.endswith(b"\n") and json.loads(line)["step"] <= last_step)
+        write_atomic(path, b"".join(kept))
 
     def append(self, step: int, metrics: Mapping[str, float]) -> None:
         """Appends a row, whole or not at all. Raises OSError when the disk is full or broken."""
@@ -66,7 +67,3 @@ def _documents(file: BinaryIO, from_step: int) -> Iterator[dict[str, Any]]:
     for line in file:
         if line.endswith(b"\n") and (document := json.loads(line))["step"] >= from_step:
             yield document
-
-
-def _is_kept(line: bytes, last_step: int) -> bool:
-    return line.endswith(b"\n") and bool(json.loads(line)["step"] <= last_step)

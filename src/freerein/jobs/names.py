@@ -15,12 +15,7 @@ _MAX_SUBJECT, _DIGITS = 64, 6
 
 
 def job_name(kind: str, config: Mapping[str, Any]) -> str:
-    """Returns a kind with what it is about: the dataset, the task without its world, or the model.
-
-    Args:
-        kind: Kind of the run, or service of the fit.
-        config: Its configuration.
-    """
+    """Returns the kind of a run, or service of a fit, with what it is about: dataset, task without world, or model."""
     task = str(config.get("task", "")).rpartition(".")[2]
     subject = str(config.get("dataset") or task or config.get("model_name", ""))
     own = re.sub(r"[^a-z0-9]+", "-", subject.lower()).strip("-")[:_MAX_SUBJECT]

@@ -52,8 +52,5 @@ def retry(attempt: Callable[[Pause], AttemptResult]) -> AttemptResult:
         if crashes >= _MAX_CRASHES or kills >= _MAX_KILLS:
             ended = f"{crashes + kills} attempts in a row ended without progress"
             return AttemptResult("failed", error=f"{ended}. {result.error}")
-        pause = NO_PAUSE if result.progressed or result.outcome == "crashed" else _longer(pause, result.error)
-
-
-def _longer(pause: Pause, reason: str) -> Pause:
-    return Pause(min(max(2 * pause.seconds, _FIRST_PAUSE_S), _MAX_PAUSE_S), reason)
+        pause_s = min(max(2 * pause.seconds, _FIRST_PAUSE_S), _MAX_PAUSE_S)
+        pause = NO_PAUSE if result.progressed or result.outcome == "crashed" else Pause(pause_s, result.error)

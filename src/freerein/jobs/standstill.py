@@ -10,12 +10,7 @@ _LEAST_CPU_TICKS = 10
 
 
 class Standstill:
-    """Watches a child process.
-
-    Args:
-        pid: Its process id.
-        limit_s: Seconds without progress and CPU time after which it is at a standstill.
-    """
+    """Watches a child process, which is at a standstill after `limit_s` without progress and CPU time."""
 
     def __init__(self, pid: int, *, limit_s: float = STANDSTILL_S) -> None:
         self._pid = pid
@@ -24,11 +19,7 @@ class Standstill:
         self._since_s = time.monotonic()
 
     def is_reached(self, *, progressed: bool) -> bool:
-        """Returns whether the child is at a standstill; to be called every now and then.
-
-        Args:
-            progressed: Whether it made progress since the last call, or says what it waits for.
-        """
+        """Returns whether it is; called now and then, with whether it made progress or says what it waits for."""
         ticks = _cpu_ticks(self._pid) + sum(map(_cpu_ticks, _children(self._pid)))
         if progressed or abs(ticks - self._ticks) >= _LEAST_CPU_TICKS:  # fewer where a grandchild has ended unseen
             self._ticks, self._since_s = ticks, time.monotonic()

@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from freerein.atomic_files import delete_folder, make_folder, write_atomic
-from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, Overloaded
+from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, Overloaded, must_be
 from freerein.jobs.json_lines import LineReader, append, last_document
 from freerein.jobs.metrics import read_metrics
 from freerein.jobs.names import job_name, link_by_name, remove_broken
@@ -254,10 +254,7 @@ class JobStore:
             is_new = False
 
     def fields(self, job_id: str, event: JobEvent | None = None) -> dict[str, Any]:
-        """Returns the fields of `Fit` and `Run` after an event, by default the last one.
-
-        Raises NotFound when there is no such job.
-        """
+        """Returns the fields of `Fit` and `Run` after an event, by default the last; raises NotFound as `config`."""
         config, event = self.config(job_id), event or self.last(job_id)
         model = self._model(job_id) if event.state == "succeeded" else None
         return {"id": job_id, **config, **vars(event), "model": model}
@@ -375,7 +372,5 @@ def _event(document: Mapping[str, Any]) -> JobEvent:
 
 def _bounded(value: int, *, default: int, most: int, field: str) -> int:
     if not 0 <= value <= most:
-        raise InvalidInput(
-            f"`{field}` must be at most {most}; got {value}.", field=field, hint=f"Leave it out for {default}."
-        )
+        raise must_be(field, f"at most {most}", value, hint=f"Leave it out for {default}.")
     return value or default

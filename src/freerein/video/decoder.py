@@ -122,10 +122,7 @@ def _check(frame: av.VideoFrame, has_size: bool, count: int, options: Options) -
 class _Turn:
     """How a frame is turned to be shown, by the file's display matrix.
 
-    Attributes:
-        is_transposed: Whether rows are shown as columns.
-        is_upside_down: Whether the order of the rows, those that are shown, is reversed.
-        is_mirrored: Whether that of the columns is.
+    Rows may be shown as columns; then the order of the rows may be reversed, and that of the columns.
     """
 
     is_transposed: bool = False

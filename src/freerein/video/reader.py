@@ -35,15 +35,10 @@ _MAX_TEXT_BYTES = 1024
 
 @dataclass(frozen=True)
 class VideoBounds:
-    """Bounds of one video.
+    """Bounds of one video: its frames, and the pixels of each.
 
-    Attributes:
-        frames: Most frames.
-        pixels: Most pixels of a frame.
-        memory_bytes: Most address space of the child process; a quarter of a gigabyte of it is code.
-        cpu_s: Most CPU seconds of the child process.
-        first_frame_s: Longest wait for the first frame, in seconds.
-        silence_s: Longest wait for the next frame, in seconds.
+    The child process has so much address space, of which a quarter of a gigabyte is code, and CPU time. The waits for
+    the first frame and for the next one are at most `first_frame_s` and `silence_s`.
     """
 
     frames: int = MAX_FRAMES
@@ -56,14 +51,9 @@ class VideoBounds:
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """Describes a video file.
+    """Describes a video file: one of `CODECS`, and the height and width of its frames, upright.
 
-    Attributes:
-        codec: One of `CODECS`.
-        height: Height of its frames in pixels, upright.
-        width: Width of its frames in pixels, upright.
-        fps: Mean frames per second; 0 when unknown.
-        frame_count: Number of frames that it announces; 0 when unknown.
+    Mean frames per second, and the number of frames that it announces, are 0 when unknown.
     """
 
     codec: str

@@ -21,14 +21,8 @@ CODECS = ("h264", "hevc", "av1", "vp9", "mpeg4", "mjpeg")
 class Options:
     """What to decode, and within which bounds.
 
-    Attributes:
-        channels: Of the frames: 3 for RGB, 1 for gray.
-        height: Height to resize frames to; 0 to keep the file's.
-        width: Width to resize frames to; 0 to keep the file's.
-        max_frames: Most frames.
-        max_pixels: Most pixels of a frame of the file.
-        memory_bytes: Most address space of the child process.
-        cpu_s: Most CPU seconds of the child process.
+    Frames have 3 channels for RGB, 1 for gray, and a height and width of 0 to keep the file's. `max_pixels` are those
+    of a frame of the file; `memory_bytes` and `cpu_s` those of the child process.
     """
 
     channels: int

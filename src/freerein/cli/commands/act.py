@@ -12,7 +12,7 @@ from freerein.cli.connection import call
 from freerein.cli.output import AsJson, command, print_json
 from freerein.cli.tables import show_table
 from freerein.clients import ImitationClient
-from freerein.errors import InvalidInput
+from freerein.errors import must_be, quoted
 from freerein.types.common import Goal, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse, Resize
 
@@ -69,25 +69,19 @@ def spec(model: Model = "", version: Version = "", as_json: AsJson = False) -> N
 
 def _check(image: list[str] | None, goal: list[str] | None, recipe: list[str] | None, goal_text: str) -> None:
     if not image:
-        raise InvalidInput("The current image must be given; got none.", field="image", hint="Send --image now.png.")
+        raise must_be("The current image", "given", "none", field="image", hint="Send --image now.png.")
     given = sum(map(bool, (goal, recipe, goal_text)))
     if given != 1:
-        raise InvalidInput(
-            f"Exactly one of goal images, a recipe and a goal text must be given; got {given or 'none'} of them.",
-            field="goal",
-            hint="`freerein act spec` shows the model's goal form.",
-        )
+        name, hint = "Exactly one of goal images, a recipe and a goal text", "`freerein act spec` shows the goal form."
+        raise must_be(name, "given", f"{given or 'none'} of them", field="goal", hint=hint)
 
 
 def _numbers(text: str) -> npt.NDArray[np.float32]:
     try:
         return np.array([float(number) for number in text.split(",")], np.float32)
     except ValueError:
-        raise InvalidInput(
-            "The robot's state must be numbers separated by commas; it is not.",
-            field="robot_state",
-            hint="Send --robot-state=-0.5,12.3 with as many as `freerein act spec` tells.",
-        ) from None
+        name, hint = "The robot's state", "Send --robot-state=-0.5,12.3 with as many as `freerein act spec` tells."
+        raise must_be(name, "numbers separated by commas", quoted(text), field="robot_state", hint=hint) from None
 
 
 def _show_answer(answer: ActResponse) -> None:

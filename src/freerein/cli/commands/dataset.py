@@ -29,7 +29,7 @@ from freerein.data import (
     TimeUnit,
     dataset_path,
 )
-from freerein.errors import InvalidInput, NotFound
+from freerein.errors import InvalidInput, NotFound, must_be, quoted
 from freerein.jobs import wall_clock
 from freerein.jobs.in_use import check_unused, names_dataset
 from freerein.types.common import Trajectory
@@ -159,11 +159,8 @@ def _size(text: str) -> tuple[int, int] | None:
     if not text:
         return None
     if not all(each.isascii() and each.isdigit() and 0 < int(each) <= _LARGEST_SIDE for each in (height, width)):
-        raise InvalidInput(
-            f"The size must be height x width, each from 1 to {_LARGEST_SIDE} pixels; it is not.",
-            field="size",
-            hint="For example: --size 96x128.",
-        )
+        rule = f"height x width, each from 1 to {_LARGEST_SIDE} pixels"
+        raise must_be("The size", rule, quoted(text), field="size", hint="For example: --size 96x128.")
     return int(height), int(width)
 
 
@@ -356,20 +353,14 @@ def replaceable_root(name: str) -> Path:
 def check_no_path(name: str) -> str:
     """Returns what may be the name of a dataset; raises InvalidInput for a path."""
     if "/" in name:
-        raise InvalidInput(
-            "A dataset of the data directory must be named; got a path.",
-            field="dataset",
-            hint="`freerein dataset list` names all; `freerein dataset import FOLDER NAME` brings a folder.",
-        )
+        hint = "`freerein dataset list` names all; `freerein dataset import FOLDER NAME` brings a folder."
+        raise must_be("A dataset of the data directory", "named", "a path", field="dataset", hint=hint)
     return name
 
 
 def read_trajectory(dataset: Dataset, index: int) -> Trajectory:
     """Returns a trajectory of a dataset; raises NotFound where the index is out of range."""
     if index >= len(dataset):
-        raise NotFound(
-            f"The index must be below {len(dataset)}, the number of trajectories; got {index}.",
-            field="index",
-            hint="`freerein dataset inspect` shows the dataset.",
-        )
+        sentence = f"The index must be below {len(dataset)}, the number of trajectories; got {index}."
+        raise NotFound(sentence, field="index", hint="`freerein dataset inspect` shows the dataset.")
     return dataset[index]

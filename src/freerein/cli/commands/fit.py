@@ -18,12 +18,12 @@ from freerein.clients import FitClient
 from freerein.data import ImageSource
 from freerein.data.lookup import unseen_cameras
 from freerein.data.meta import read_spec
-from freerein.errors import InvalidInput, ServiceError
+from freerein.errors import ServiceError, must_be
 from freerein.types.learning import Fit, StartFitRequest
 
 app = typer.Typer(
     help="Start a fit of a model.",
-    epilog="`freerein fit segmentation --help` has the keys of --set; so has the help of imitation and reward.",
+    epilog="`freerein fit segmentation --help` has the keys of --set; `freerein jobs` does all else.",
     no_args_is_help=True,
     add_completion=False,
 )
@@ -83,11 +83,8 @@ def reward(
     """Fit a vision-language reward model to unlabelled images and the noun phrases of the goal texts."""
     name = dataset or (_dataset_name(images) if images else "")
     if not name:
-        raise InvalidInput(
-            "A dataset or --images must be given; got neither.",
-            field="dataset",
-            hint="Write freerein fit reward --images DIR --phrases 'a red ball' --phrases 'a blue ball'.",
-        )
+        hint = "Write freerein fit reward --images DIR --phrases 'a red ball' --phrases 'a blue ball'."
+        raise must_be("A dataset or --images", "given", "neither", field="dataset", hint=hint)
     named = [phrase.strip() for given in phrases or () for phrase in given.split(",")]
     config = configuration(settings) | ({"phrases": named} if named else {})
     request = StartFitRequest(check_no_path(name), model_name, config)

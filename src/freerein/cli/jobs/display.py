@@ -37,11 +37,7 @@ _COLOURS = {"running": "cyan", "succeeded": "green", "failed": "red", "cancelled
 def watch(service: str, job_id: str, *, as_json: bool, metrics: Sequence[str] | None = None) -> Job:
     """Shows a fit or run until it ends; returns its last state. Ctrl-C ends the program, not the fit or run.
 
-    Args:
-        service: Its service.
-        job_id: Its id.
-        as_json: Whether each change is printed as a JSON document.
-        metrics: Names of the metrics to draw; None for the most relevant ones.
+    With `as_json` each change is a document; `metrics` are those that are drawn, None for the most relevant ones.
     """
     name = f"{noun_of(service)} {short(job_id)}"
 

@@ -32,13 +32,9 @@ _FIGURES = ("figures", "tag_average_precision", "held_out", "warnings")
 
 @dataclass(frozen=True)
 class LabelledAccuracy:
-    """Frame accuracy on trajectories labelled by hand, their tags being known to the fit.
+    """Frame accuracy on trajectories labelled by hand, their tags being known to the fit; and that of guessing.
 
-    Attributes:
-        trajectories: Their number.
-        timesteps: Number of their labelled timesteps.
-        frame_accuracy: Fraction of correctly labelled timesteps.
-        random_cls_accuracy: That of guessing among the skills that occur in each.
+    `random_cls_accuracy` is that of guessing among the skills that occur in each.
     """
 
     trajectories: int

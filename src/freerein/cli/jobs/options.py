@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be, quoted
 
 Settings = Annotated[
     list[str] | None,
@@ -21,11 +21,8 @@ def setting(text: str) -> tuple[str, Any]:
     """Returns the key and value of a setting; the value is JSON, else a string."""
     key, equals, value = text.partition("=")
     if not (key and equals):
-        raise InvalidInput(
-            "A setting must be KEY=VALUE; got one without a key or a value.",
-            field="set",
-            hint="Write --set steps=200 or --set task=grid.",
-        )
+        hint = "Write --set steps=200 or --set task=grid."
+        raise must_be("A setting", "KEY=VALUE", quoted(text), field="set", hint=hint)
     try:
         return key, json.loads(value)
     except json.JSONDecodeError:
@@ -45,9 +42,6 @@ def configuration(settings: Sequence[str] | None, file: Path | None = None) -> d
     except ValueError:
         values = None
     if not isinstance(values, dict):
-        raise InvalidInput(
-            "A configuration file must hold a JSON object; this one holds something else.",
-            field="config",
-            hint='Such as {"task": "grid", "count": 20}.',
-        )
+        name, hint = "The contents of a configuration file", 'Such as {"task": "grid", "count": 20}.'
+        raise must_be(name, "a JSON object", "something else", field="config", hint=hint)
     return {**values, **dict(setting(text) for text in settings or ())}

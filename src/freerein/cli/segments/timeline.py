@@ -77,8 +77,7 @@ def show(timeline: Timeline, console: Console) -> None:
 def flagged(in_distribution: Sequence[npt.NDArray[np.float32]]) -> float:
     """Returns the share of timesteps that are probably unlike what the model was fitted on; 0 without a timestep.
 
-    Args:
-        in_distribution: Scores of each trajectory, float32 (T,).
+    Scores of each trajectory are float32 (T,).
     """
     scores = np.concatenate([np.empty(0, np.float32), *in_distribution])
     return float((scores < FLAGGED).mean()) if len(scores) else 0.0

@@ -37,12 +37,8 @@ def certificate_problem(certificate: str | None) -> str:
 def tls_problem(host: str, port: int, certificate: str, *, called: str = "", timeout_s: float) -> str:
     """Returns why clients cannot speak TLS with a service, as sentences; empty where they can, or nobody listens.
 
-    Args:
-        host: Host to connect to.
-        port: A port of the service.
-        certificate: PEM file that clients trust.
-        called: Host that clients call, if another.
-        timeout_s: Longest wait for each part of a handshake, in seconds.
+    They trust the PEM file `certificate`, and call the host `called`, if that is another. `timeout_s` is the longest
+    wait for each part of a handshake.
     """
     address, name = (host.strip("[]"), port), called.strip("[]") or host.strip("[]")
     try:

@@ -32,12 +32,8 @@ class ServiceStatus:
     """State of a service process.
 
     Attributes:
-        service: Name of the service.
         state: `given up` after too many crashes and `misconfigured` after a configuration error are final.
-        rest_url: URL of the REST API.
-        grpc_address: Address of the gRPC server, `host:port`.
-        pid: Process id; 0 while there is no process.
-        restarts: Number of restarts.
+        pid: 0 while there is no process.
         reason: Why the service is not ready; empty when it is.
     """
 
@@ -82,18 +78,7 @@ class ServiceCommand:
 
 
 class ServiceProcess:
-    """Keeps a service running while `run` runs.
-
-    Args:
-        command: How to start the process.
-        status: Initial status.
-        policy: When to restart it.
-        client: HTTP client of the readiness probe.
-        on_change: Called after each change of `status`.
-
-    Attributes:
-        status: Current status.
-    """
+    """Keeps a service running while `run` runs; `on_change` is called after each change of its `status`."""
 
     def __init__(
         self,

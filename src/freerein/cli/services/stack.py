@@ -32,9 +32,9 @@ class Stack:
 
     Args:
         services: Module for `python -m` by service; see `choose`.
-        data_dir: Data directory of the services.
-        environ: Environment of the services; ports, data directory and missing addresses are added.
-        ports: Ports by service, such as `free_ports` returns; None for the standard ports.
+        data_dir: Their data directory.
+        environ: Their environment; ports, data directory and missing addresses are added.
+        ports: By service, such as `free_ports` returns; None for the standard ports.
         policy: When to restart a service that crashed.
 
     Attributes:
