@@ -1,7 +1,6 @@
 """A writer killed at any point loses at most the trajectory being written."""
 
 import json
-import shutil
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -110,16 +109,3 @@ def test_a_reader_rebuilds_meta_after_the_kill(root: Path, kill_writer_at: Calla
 
     assert len(Dataset(root)) == 3
     assert verify(root) == []
-
-
-@pytest.mark.parametrize(
-    "lost", ["meta", "meta/info.json", "meta/freerein.json", "meta/stats.json", "meta/tasks.parquet", "meta/episodes"]
-)
-def test_meta_is_rebuilt_from_the_data_files_alone(root: Path, lost: str) -> None:
-    before = {path.name: path.read_bytes() for path in (root / "meta").rglob("*") if path.is_file()}
-    fingerprint = Dataset(root).fingerprint
-    (shutil.rmtree if (root / lost).is_dir() else Path.unlink)(root / lost)
-
-    assert Dataset(root).fingerprint == fingerprint
-
-    assert {path.name: path.read_bytes() for path in (root / "meta").rglob("*") if path.is_file()} == before

@@ -71,28 +71,17 @@ def test_a_whole_dataset_has_no_problems(root: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [truncate, cut_footer, empty, flip_a_bit, take_another, Path.unlink])
-def test_a_damaged_data_file_is_found(root: Path, damage: Callable[[Path], None]) -> None:
+def test_a_damaged_data_file_is_found_and_not_read(root: Path, damage: Callable[[Path], None]) -> None:
     damage(root / SECOND)
 
     problems = verify(root)
 
     assert [each.where for each in problems if each.where.startswith("data/")] == [SECOND]
     assert all(each.sentence and each.hint for each in problems)
-
-
-@pytest.mark.parametrize("damage", [truncate, cut_footer, empty, take_another, Path.unlink])
-def test_a_damaged_dataset_does_not_open(root: Path, damage: Callable[[Path], None]) -> None:
-    damage(root / SECOND)
     with pytest.raises(InvalidInput) as caught:
         _ = Dataset(root)[1]
     assert "1" in caught.value.detail
     assert str(root) not in caught.value.detail
-
-
-def test_a_flipped_bit_is_met_when_the_page_is_read(root: Path) -> None:
-    flip_a_bit(root / SECOND)
-    with pytest.raises(InvalidInput):
-        _ = Dataset(root)[1]
 
 
 def test_two_damaged_files_are_both_found(root: Path) -> None:
@@ -111,12 +100,10 @@ def test_wrong_counts_are_found_and_mended_by_opening(root: Path) -> None:
     assert verify(root) == []
 
 
-@pytest.mark.parametrize(
-    ("labels", "index"), [(np.zeros(3, np.int64), 0), (np.full(4, 2), 0), (np.zeros(4, np.int64), 3)]
-)
-def test_labels_that_do_not_fit_are_found(root: Path, labels: np.ndarray, index: int) -> None:
-    truth.save(root, index, labels)
-    assert [each.where for each in verify(root)] == [f"truth/chunk-000/file-{index:03d}.parquet"]
+def test_labels_that_do_not_fit_are_found(root: Path) -> None:
+    for labels, index in ((np.zeros(3, np.int64), 0), (np.full(4, 2), 1), (np.zeros(4, np.int64), 3)):
+        truth.save(root, index, labels)
+    assert [each.where for each in verify(root)] == [f"truth/chunk-000/file-00{index}.parquet" for index in (0, 1, 3)]
 
 
 def test_there_must_be_a_dataset_to_verify(tmp_path: Path) -> None:

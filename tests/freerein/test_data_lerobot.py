@@ -1,8 +1,9 @@
 """Datasets of other tools: LeRobotDataset v3 written here with pyarrow alone, several trajectories to a file."""
 
 import io
+import itertools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -122,11 +123,11 @@ def unpacked(values: Any) -> Any:
     return values.steps if isinstance(values, StepCache) else values
 
 
-@pytest.mark.parametrize("feature", [{"dtype": "int64", "shape": [2]}, {"dtype": "float32", "shape": [2, 2]}])
-def test_a_state_that_is_no_vector_of_floats_is_left_out(root: Path, feature: dict[str, Any]) -> None:
-    write_info(root, features=INFO["features"] | {"observation.state": {**feature, "names": None}})
-    assert Dataset(root).spec.robot_state_size == 0
-    assert Dataset(root).robot_state(0) is None
+def test_a_state_that_is_no_vector_of_floats_is_left_out(root: Path) -> None:
+    for feature in ({"dtype": "int64", "shape": [2]}, {"dtype": "float32", "shape": [2, 2]}):
+        write_info(root, features=INFO["features"] | {"observation.state": {**feature, "names": None}})
+        assert Dataset(root).spec.robot_state_size == 0
+        assert Dataset(root).robot_state(0) is None
 
 
 def test_a_state_of_another_size_than_declared_is_found(root: Path) -> None:
@@ -164,30 +165,30 @@ def test_goal_texts_are_read_where_episodes_name_one_task(root: Path) -> None:
     assert (Dataset(root).spec.task, Dataset(root).goal_texts) == ("", ("drop it", "", ""))
 
 
-@pytest.mark.parametrize(
-    "kind", [pa.string(), pa.large_string(), pa.string_view(), pa.dictionary(pa.int32(), pa.string())], ids=str
-)
-@pytest.mark.parametrize("name", ["task", "__index_level_0__"])
-def test_a_task_may_be_text_in_any_of_arrows_ways(root: Path, kind: pa.DataType, name: str) -> None:
-    tasks = pa.table({"task_index": [0], name: pa.array(["pour"]).cast(kind)})
-    pq.write_table(tasks, root / "meta/tasks.parquet")
-    assert Dataset(root).spec.task == "pour"
+def test_a_task_may_be_text_in_any_of_arrows_ways(root: Path) -> None:
+    texts = (pa.string(), pa.large_string(), pa.string_view(), pa.dictionary(pa.int32(), pa.string()))
+    for kind, name in itertools.product(texts, ("task", "__index_level_0__")):
+        tasks = pa.table({"task_index": [0], name: pa.array(["pour"]).cast(kind)})
+        pq.write_table(tasks, root / "meta/tasks.parquet")
+        assert Dataset(root).spec.task == "pour"
 
 
-@pytest.mark.parametrize("kind", [pa.list_(pa.large_string()), pa.large_list(pa.string())], ids=str)
-def test_tasks_and_skills_of_episodes_may_be_lists_of_any_kind(root: Path, kind: pa.DataType) -> None:
+def test_tasks_and_skills_of_episodes_may_be_lists_of_any_kind(root: Path) -> None:
     path = root / "meta/episodes/chunk-000/file-000.parquet"
-    lists = pa.array([["pour"], [], None], kind)
-    pq.write_table(pq.read_table(path).append_column("tasks", lists).append_column("skills", lists), path)
-    assert Dataset(root).goal_texts == ("pour", "lift it", "lift it")
-    assert Dataset(root).skills == (("pour",), (), ())
+    episodes = pq.read_table(path)
+    for kind in (pa.list_(pa.large_string()), pa.large_list(pa.string())):
+        lists = pa.array([["pour"], [], None], kind)
+        pq.write_table(episodes.append_column("tasks", lists).append_column("skills", lists), path)
+        assert Dataset(root).goal_texts == ("pour", "lift it", "lift it")
+        assert Dataset(root).skills == (("pour",), (), ())
 
 
-@pytest.mark.parametrize("columns", [{}, {"task": [7]}, {"task": [["lift"]], "note": ["lift"]}])
-def test_tasks_without_a_text_are_refused(root: Path, columns: dict[str, list[object]]) -> None:
-    pq.write_table(pa.table({"task_index": [0], **columns}), root / "meta/tasks.parquet")
-    with pytest.raises(InvalidInput, match="in a column `task`; it has no such texts"):
-        Dataset(root)
+def test_tasks_without_a_text_are_refused(root: Path) -> None:
+    columns: dict[str, list[Any]]
+    for columns in ({}, {"task": [7]}, {"task": [["lift"]], "note": ["lift"]}):
+        pq.write_table(pa.table({"task_index": [0], **columns}), root / "meta/tasks.parquet")
+        with pytest.raises(InvalidInput, match="in a column `task`; it has no such texts"):
+            Dataset(root)
 
 
 def add_bools(root: Path, columns: dict[str, list[bool | None]], *, listed: bool = False) -> None:
@@ -209,19 +210,17 @@ def test_terminations_are_read_where_there_is_next_done(root: Path, listed: bool
     dataset = Dataset(root)
     assert dataset.spec.has_terminations
     assert [each.terminated.tolist() for each in dataset] == [ends[:2], ends[2:5], ends[5:]]
-    assert dataset.cached_terminations().steps.tolist() == ends
     assert verify(root) == []
 
 
 def test_a_column_of_terminations_comes_before_next_done(root: Path) -> None:
     add_bools(root, {"next.done": [True] * 9, "next.terminated": [False] * 9})
-    assert not Dataset(root).cached_terminations().steps.any()
+    assert not any(each.terminated.any() for each in Dataset(root))
 
 
 def test_terminations_are_unknown_where_there_is_no_bool_of_them(root: Path) -> None:
     write_info(root, features=INFO["features"] | {"next.done": COUNTER})
     assert Dataset(root)[0].terminated is None
-    assert Dataset(root).cached_terminations() is None
 
 
 def test_terminations_that_are_declared_but_not_stored_are_found(root: Path) -> None:
@@ -247,9 +246,9 @@ def test_discrete_actions_take_their_number_of_choices_from_the_statistics(root:
     assert dataset[1].actions.tolist() == [[2], [3], [4]]
 
 
-@pytest.mark.parametrize(
-    ("changes", "word"),
-    [
+def test_what_cannot_be_read_here_is_refused_with_a_reason(root: Path) -> None:
+    changes: dict[str, Any]
+    for changes, word in (
         ({"codebase_version": "v2.1"}, "version"),
         ({"fps": 29.97}, "fps"),
         ({"data_path": "../../{chunk_index}.parquet"}, "path"),
@@ -257,25 +256,17 @@ def test_discrete_actions_take_their_number_of_choices_from_the_statistics(root:
         ({"features": {"action": INFO["features"]["action"]}}, "camera"),
         ({"features": {}}, "camera"),
         ({"features": None}, "camera"),
-    ],
-)
-def test_what_cannot_be_read_here_is_refused_with_a_reason(root: Path, changes: dict[str, Any], word: str) -> None:
-    write_info(root, **changes)
-    with pytest.raises(InvalidInput, match=word):
-        Dataset(root)
+    ):
+        write_info(root, **changes)
+        with pytest.raises(InvalidInput, match=word):
+            Dataset(root)
 
 
-def remove(path: Path) -> None:
-    path.unlink()
-
-
-def truncate(path: Path) -> None:
+def test_a_damaged_file_is_found(root: Path) -> None:
+    path = root / "data/chunk-000/file-000.parquet"
     path.write_bytes(path.read_bytes()[:100])
-
-
-@pytest.mark.parametrize("damage", [remove, truncate])
-def test_a_damaged_file_is_found(root: Path, damage: Callable[[Path], None]) -> None:
-    damage(root / "data/chunk-000/file-000.parquet")
+    assert [each.where for each in verify(root)] == ["trajectory 0", "trajectory 1"]
+    path.unlink()
     assert [each.where for each in verify(root)] == ["trajectory 0", "trajectory 1"]
 
 

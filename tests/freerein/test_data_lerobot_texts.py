@@ -74,16 +74,10 @@ def check_all(ours: Path) -> None:
     assert verify(ours) == []
 
 
-@pytest.mark.parametrize("in_index", [False, True])
-def test_the_task_of_each_row_gives_tags_and_labels(root: Path, in_index: bool) -> None:
-    write_texts(root, "task", in_index=in_index)
-    check_all(imported(root, tags_from="task", labels_from="task"))
-
-
-@pytest.mark.parametrize("in_index", [False, True])
-def test_the_subtask_of_each_row_gives_tags_and_labels(root: Path, in_index: bool) -> None:
-    write_texts(root, "subtask", in_index=in_index)
-    check_all(imported(root, tags_from="subtask", labels_from="subtask"))
+@pytest.mark.parametrize(("kind", "in_index"), [("task", False), ("subtask", True)])
+def test_the_task_or_subtask_of_each_row_gives_tags_and_labels(root: Path, kind: TextKind, in_index: bool) -> None:
+    write_texts(root, kind, in_index=in_index)
+    check_all(imported(root, tags_from=kind, labels_from=kind))
 
 
 @pytest.mark.parametrize("broadcast", [True, False])
@@ -122,10 +116,10 @@ def test_subtasks_are_offered_where_there_are_some(root: Path) -> None:
     assert "`subtask_index` is left out: take it as tags with --tags-from subtask." in LeRobotSource(root).notes
 
 
-@pytest.mark.parametrize("kind", ["tags_from", "labels_from"])
-def test_a_dataset_without_subtasks_is_refused(root: Path, kind: str) -> None:
-    with pytest.raises(InvalidInput, match="must have subtasks in a column `subtask_index` or `language_persistent`"):
-        imported(root, **{kind: "subtask"})
+def test_a_dataset_without_subtasks_is_refused(root: Path) -> None:
+    for kind in ("tags_from", "labels_from"):
+        with pytest.raises(InvalidInput, match="must have subtasks in a column `subtask_index` or `language_persist"):
+            imported(root, **{kind: "subtask"})
 
 
 @pytest.mark.parametrize(

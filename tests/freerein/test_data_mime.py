@@ -67,17 +67,22 @@ def test_the_dissertation_s_size_is_the_default(folder: Path) -> None:
         ("joint_angles.txt", None),
         ("joint_angles.txt", b""),
         ("joint_angles.txt", b"{'right_s0': __import__('os').getpid()}\n"),
-        ("joint_angles.txt", b"{'left_w1': 0.5}\n"),
     ],
 )
 def test_a_broken_demonstration_is_named_and_nothing_is_left(
     folder: Path, tmp_path: Path, file: str, content: bytes | None
 ) -> None:
-    path = folder / "mime_stir" / "4329Aug02" / file
+    path = folder / "Pour" / "4329Aug02" / file  # the first one: no other is decoded
     path.unlink() if content is None else path.write_bytes(content)
-    with pytest.raises(ServiceError, match=rf"mime_stir/4329Aug02/{file}"):
+    with pytest.raises(ServiceError, match=rf"Pour/4329Aug02/{file}"):
         import_trajectories(MimeSource(folder), tmp_path / "data" / "ours")
-    assert list((tmp_path / "data").iterdir()) == []
+    assert not list(tmp_path.glob("data/*"))
+
+
+def test_a_demonstration_of_other_joints_is_named(folder: Path) -> None:
+    (folder / "mime_stir/4329Aug02/joint_angles.txt").write_text("{'left_w1': 0.5}\n")
+    with pytest.raises(InvalidInput, match=r"mime_stir/4329Aug02/joint_angles\.txt"):
+        list(MimeSource(folder))
 
 
 def test_a_folder_without_demonstrations_is_not_found(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_equal_first_frames_tell_nothing() -> None:
 
 
 def test_a_dataset_whose_first_frames_give_the_tags_away_is_fit_with_a_warning(tmp_path: Path) -> None:
-    frames, tags = scenes(60, telling=True)
+    frames, tags = scenes(40, telling=True)
     spec = DatasetSpec(10, {"top": (24, 32, 3)}, ActionSpec(1, 0, ("x",)), "arm", ("a", "b"))
     with create(tmp_path / "demos", spec) as writer:
         for frame, skills in zip(frames, tags, strict=True):

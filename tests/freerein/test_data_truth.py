@@ -27,7 +27,6 @@ WATCHED = {"open", "os.listdir", "os.scandir", "os.rename", "os.remove"}
 sys.addaudithook(lambda event, arguments: touched.append(str(arguments[0])) if event in WATCHED else None)
 dataset = Dataset(Path(sys.argv[1]))
 list(dataset), dataset.actions(0), dataset.fingerprint, dataset.cached_frames("front")[0], dataset.cached_actions()[0]
-dataset.cached_terminations()[0]
 print("\\n".join(touched))
 """
 
@@ -75,10 +74,10 @@ def test_labels_of_a_trajectory_that_a_killed_recording_never_wrote_are_not_read
     assert [problem.where for problem in verify(root)] == ["truth/chunk-000/file-002.parquet"]
 
 
-@pytest.mark.parametrize("index", [1, 2])
-def test_labels_that_were_not_recorded_are_not_found(root: Path, index: int) -> None:
-    with pytest.raises(NotFound):
-        truth.labels(root, index)
+def test_labels_that_were_not_recorded_are_not_found(root: Path) -> None:
+    for index in (1, 2):
+        with pytest.raises(NotFound):
+            truth.labels(root, index)
 
 
 def test_the_learners_reader_imports_nothing_that_knows_of_truth() -> None:
@@ -132,7 +131,7 @@ def test_skill_cloning_alone_reads_a_robots_own_state_and_no_world_or_experiment
     observations = [
         call
         for each, text in files.items()
-        if not each.is_relative_to(imitation)
+        if "Observation(" in text and not each.is_relative_to(imitation)
         for call in ast.walk(ast.parse(text))
         if isinstance(call, ast.Call) and ast.unparse(call.func) == "Observation"
     ]
