@@ -61,10 +61,7 @@ def test_an_evaluation_that_is_stopped_and_whose_sim_is_killed_comes_to_the_same
     assert run.rows == undisturbed.rows
 
 
-@pytest.mark.parametrize("stochastic", [False, True])
-def test_a_policy_of_a_ppo_run_acts_the_same_each_time(
-    evaluation: Callable[..., Any], tmp_path: Path, stochastic: bool
-) -> None:
+def test_a_policy_of_a_ppo_run_acts_the_same_each_time(evaluation: Callable[..., Any], tmp_path: Path) -> None:
     spec = ActorCriticSpec(
         height=33, width=30, channels=3, action_choices=5, feature_size=8, hidden_size=8, recurrent=True
     )
@@ -72,9 +69,7 @@ def test_a_policy_of_a_ppo_run_acts_the_same_each_time(
     network = init_network(spec, generator)
     network.calibrate(torch.randint(256, (8, *spec.observation_shape), dtype=torch.uint8, generator=generator))
     save_policy(network, tmp_path / "runs" / "trained" / "artifacts", card={"task": "grid", "camera": "top"})
-    runs = [
-        evaluation(RANDOM | {"episodes": 2, "policy": {"run": "trained", "stochastic": stochastic}}) for _ in range(2)
-    ]
+    runs = [evaluation(RANDOM | {"episodes": 2, "policy": {"run": "trained", "stochastic": True}}) for _ in range(2)]
     for run in runs:
         run.check()
         assert run.do()
@@ -104,19 +99,11 @@ def test_an_invalid_policy_is_refused(policy: Any) -> None:
     assert error.value.field.startswith("config")
 
 
-def test_the_scripted_expert_earns_more_than_random_actions(evaluation: Callable[..., Any]) -> None:
-    runs = [evaluation(RANDOM | {"policy": policy, "episodes": 2}) for policy in ("expert", "random")]
-    assert all(run.do() for run in runs)
-    expert, random = (run.artifact("result.json")["figures"]["success_rate"]["value"] for run in runs)
-    assert expert == 1 > random
-
-
-@pytest.mark.parametrize("policy", ["random", "expert"])
 def test_the_expert_s_return_stands_beside_a_policy_s_and_both_are_split_by_how_episodes_began(
-    evaluation: Callable[..., Any], policy: str
+    evaluation: Callable[..., Any],
 ) -> None:
     goal = {"task": "blocks.red-left-of-green", "episodes": 4, "num_envs": 4, "conditions": ["start-unseen"]}
-    run = evaluation(RANDOM | goal | {"policy": policy})
+    run = evaluation(RANDOM | goal)
     assert run.do()
     result = run.artifact("result.json")
     figures, in_order = result["figures"], np.array(result["starts"]["start/in-order"])
@@ -124,7 +111,6 @@ def test_the_expert_s_return_stands_beside_a_policy_s_and_both_are_split_by_how_
     assert 0 < in_order.sum() < 4
     assert figures["expert_return_mean"]["value"] == pytest.approx(np.mean(result["expert_returns"]))
     assert figures["expert_return_mean"]["value"] > 60
-    assert (result["expert_returns"] == result["returns"]) == (policy == "expert")
     for name, values in (("return_mean", result["returns"]), ("expert_return_mean", result["expert_returns"])):
         assert figures[f"{name}.in-order"]["value"] == pytest.approx(np.mean(np.array(values)[in_order]))
         assert figures[f"{name}.not-in-order"]["value"] == pytest.approx(np.mean(np.array(values)[~in_order]))
@@ -151,7 +137,8 @@ def test_a_baseline_runs_the_same_episodes_and_gives_the_gain(evaluation: Callab
     gains = np.subtract(result["returns"], result["baseline_returns"])
     assert figures["gain"]["value"] == pytest.approx(gains.mean())
     assert gains.min() <= figures["gain"]["low"] <= figures["gain"]["high"] <= gains.max()
-    assert figures["gain"]["baseline"] == 0
+    assert (figures["gain"]["baseline"], figures["success_rate"]["value"]) == (0, 1)
+    assert random.artifact("result.json")["figures"]["success_rate"]["value"] < 1
     same = evaluation(RANDOM | {"baseline": "random", "episodes": 2})
     assert same.do()
     assert same.artifact("result.json")["figures"]["gain"]["high"] == 0

@@ -220,20 +220,13 @@ def test_a_run_that_cannot_succeed_fails_at_once(
         ppo(**config).do()
 
 
-def test_the_base_reward_is_the_grounding_models_similarity(ppo: Callable[..., Any]) -> None:
-    run = ppo(reward="base", goal_text="a red block", encoder="spatial", iterations=1)
-    assert run.do()
-    assert run.artifact("policy.json")["model"]["name"] == "grounding"
-    assert not run.artifact("policy.json")["privileged"]
-
-
-def test_the_eye_for_the_base_reward_is_the_reward_models_whichever_grounding_model_rewards(
+def test_the_base_reward_is_the_grounding_models_similarity_and_its_eye_the_reward_models(
     ppo: Callable[..., Any],
 ) -> None:
     run = ppo(reward="base", reward_model="grounding", iterations=1)
     assert run.do()
     card = run.artifact("policy.json")
-    assert (card["model"]["name"], card["eye"]["name"]) == ("grounding", "default")
+    assert (card["model"]["name"], card["eye"]["name"], card["privileged"]) == ("grounding", "default", False)
 
 
 def test_curiosity_learns_while_the_policy_does(ppo: Callable[..., Any]) -> None:

@@ -215,11 +215,10 @@ def test_sessions_of_sims_that_hang_are_left_to_their_leases_at_once(
     assert took_s < 10  # one after another, 16 s
 
 
-@pytest.mark.parametrize("rewards", [np.zeros(2, np.float32), np.full(24, np.nan, np.float32)])
-def test_malformed_rewards_are_rejected(sim: SyncClient, rewards: Rewards) -> None:
+def test_malformed_rewards_are_rejected(sim: SyncClient) -> None:
     whole = open_envs(sim, reward_fn=zero_reward)
     state = init(whole)
-    envs = open_envs(sim, reward_fn=lambda *_: rewards, snapshots=state.collector.env_snapshots)
+    envs = open_envs(sim, reward_fn=lambda *_: np.zeros(2, np.float32), snapshots=state.collector.env_snapshots)
     with pytest.raises(IterationRejected, match="Rewards must be"):
         collect(state.network, envs, state.collector, num_steps=FAST.num_steps)
     for each in (whole, envs):

@@ -34,14 +34,6 @@ PPO = {
     "feature_size": 8,
 }
 RANDOM = {"dataset": "random", "behaviour": "random", "count": 4}
-CURIOSITY = {
-    "dataset": "curious",
-    "behaviour": "curiosity",
-    "count": 6,
-    "num_envs": 2,
-    "length": 8,
-}
-EVALUATE = {"policy": "random", "episodes": 3, "num_envs": 2, "seed": 1}
 
 
 @pytest.fixture(scope="module")
@@ -93,20 +85,13 @@ def trajectories(data_dir: Path, dataset: str) -> list[tuple[bytes, bytes]]:
     return [(each.frames["top"].tobytes(), each.actions.tobytes()) for each in found]
 
 
-@pytest.mark.parametrize(("config", "replaced_at"), [(RANDOM, 0), (CURIOSITY, 5)], ids=["random", "curiosity"])
-def test_a_dataset_holds_the_same(
-    finish: Callable[..., Any], expect: Callable[..., Any], config: dict[str, Any], replaced_at: int
-) -> None:
-    found = trajectories(finish("collect", config, replaced_at=replaced_at).data_dir, config["dataset"])
-    assert len(found) == config["count"]
-    assert found == trajectories(expect("collect", config).data_dir, config["dataset"])
+def test_a_dataset_holds_the_same(finish: Callable[..., Any], expect: Callable[..., Any]) -> None:
+    found = trajectories(finish("collect", RANDOM).data_dir, "random")
+    assert len(found) == RANDOM["count"]
+    assert found == trajectories(expect("collect", RANDOM).data_dir, "random")
 
 
 def test_ppo_ends_with_the_same_weights(finish: Callable[..., Any], expect: Callable[..., Any]) -> None:
     found = finish("ppo", PPO, replaced_at=5)
     assert sum(row["recoveries"] for row in found.rows) > 0
     assert found.artifact("policy.json")["sha256"] == expect("ppo", PPO).artifact("policy.json")["sha256"]
-
-
-def test_an_evaluation_comes_to_the_same(finish: Callable[..., Any], expect: Callable[..., Any]) -> None:
-    assert finish("evaluate", EVALUATE).rows == expect("evaluate", EVALUATE).rows

@@ -71,16 +71,6 @@ def _as_a_training() -> None:
 
 
 @pytest.mark.usefixtures("_as_a_training")
-def test_an_encoder_finds_the_body_that_actions_move() -> None:
-    (seen, _), (new, places) = explore(np.random.default_rng(0), 40), explore(np.random.default_rng(1), 10)
-    body = BodyEncoder(height=32, width=32, action_size=2)
-    fit_body(body, Exploration(seen.frames[:, :, ::2, ::2], seen.actions), torch.Generator().manual_seed(0))
-    with torch.no_grad():
-        found = body(new.frames[1::2, :, ::2, ::2].flatten(end_dim=1))
-    assert error(found.numpy(), places) < 2.5
-
-
-@pytest.mark.usefixtures("_as_a_training")
 def test_an_eye_finds_its_body_and_where_that_holds_things(folder: Path) -> None:
     encoder = load_object_encoder(folder, goal_caption=CAPTION, camera=CAMERA)
     assert (encoder.spec.first, encoder.spec.second) == (2, 1)

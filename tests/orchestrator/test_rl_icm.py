@@ -181,7 +181,7 @@ def test_features_keep_what_actions_move_rather_than_what_flickers() -> None:
         return torch.from_numpy(np.concatenate([lamps(cells), flicker], axis=1))
 
     seen = Transitions(flickering(at), torch.from_numpy(right), flickering(at + 2 * right[:, 0] - 1))
-    image = trained(seen, discrete=True, updates=192).state.network.image
+    image = trained(seen, discrete=True, updates=96).state.network.image
     untrained = trained(seen, discrete=True, updates=0).state.network.image
     here, flickered, moved = flickering(at), flickering(at), flickering(at + 1)
 

@@ -221,12 +221,12 @@ def test_actions_are_learned_from_frames(tmp_path: Path) -> None:
     assert rewards[-1] > 0.9
 
 
-@pytest.mark.parametrize(("recurrent", "least", "most"), [(True, 0.95, 1.0), (False, 0.3, 0.7)])
+@pytest.mark.parametrize(("recurrent", "iterations", "least", "most"), [(True, 12, 0.95, 1.0), (False, 4, 0.3, 0.7)])
 def test_a_recurrent_policy_alone_learns_to_remember(
-    tmp_path: Path, recurrent: bool, least: float, most: float
+    tmp_path: Path, recurrent: bool, iterations: int, least: float, most: float
 ) -> None:
     config = PPOConfig(
-        iterations=12,
+        iterations=iterations,
         num_steps=16,
         batch_size=128,
         lr=2e-2,
@@ -245,9 +245,8 @@ def test_a_recurrent_policy_alone_learns_to_remember(
     assert least <= np.mean([row["episode_return"] for row in rows(tmp_path)[-3:]]) <= most
 
 
-@pytest.mark.parametrize("recurrent", [False, True])
-def test_a_training_resumed_from_any_checkpoint_ends_with_the_same_bits(tmp_path: Path, recurrent: bool) -> None:
-    config, state = replace(SHORT, recurrent=recurrent), None
+def test_a_training_resumed_from_any_checkpoint_ends_with_the_same_bits(tmp_path: Path) -> None:
+    config, state = replace(SHORT, recurrent=True), None
     for iteration in range(3):
 
         def stop(log: Path = tmp_path / "metrics.jsonl", iteration: int = iteration) -> None:
@@ -346,13 +345,6 @@ def test_environments_that_do_not_fit_the_configuration_are_refused() -> None:
         init_state(FRAMES, network_spec(FRAMES, observation=(24, 24, 1)), DotEnvs(), device=CPU)
 
 
-def test_the_checkpoints_of_a_training_are_readable_by_name(tmp_path: Path) -> None:
-    train(tmp_path)
-    found = checkpoints.newest(tmp_path / "checkpoints", on_corrupt=lambda *_: pytest.fail("damaged"))
-    assert found is not None
-    assert found.step == SHORT.iterations * SHORT.steps_per_iteration
-
-
 def test_a_row_is_synced_before_the_checkpoint_that_counts_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced, fsync = list[str](), os.fsync
 
@@ -366,10 +358,9 @@ def test_a_row_is_synced_before_the_checkpoint_that_counts_it(tmp_path: Path, mo
     assert kept == ["manifest.json.tmp", *["metrics.jsonl", "manifest.json.tmp"] * SHORT.iterations]
 
 
-@pytest.mark.parametrize("recurrent", [False, True])
-def test_a_finished_training_goes_on_with_all_of_its_state(tmp_path: Path, recurrent: bool) -> None:
-    finished = train(tmp_path, replace(SHORT, recurrent=recurrent))
-    before, more = to_checkpoint(finished), replace(SHORT, recurrent=recurrent, iterations=3, lr=1e-3)
+def test_a_finished_training_goes_on_with_all_of_its_state(tmp_path: Path) -> None:
+    finished = train(tmp_path, replace(SHORT, recurrent=True))
+    before, more = to_checkpoint(finished), replace(SHORT, recurrent=True, iterations=3, lr=1e-3)
     state = trained_on(before, more, device=CPU)
     after = to_checkpoint(state).tensors
     assert after.keys() == before.tensors.keys()

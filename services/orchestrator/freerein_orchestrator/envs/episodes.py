@@ -88,14 +88,14 @@ def run_episodes(
     rendered = tuple(dict.fromkeys((*policy.cameras, *cameras)))
     steps: list[_Step] = []
     lengths = np.zeros(request.num_envs, np.int64)
-    with _session(sim, request) as session:
+    with open_session(sim, request) as session:
         acting = policy.start(PolicySession(session, request.seed or 0, goals))
         first = sim.reset(ResetRequest(session, cameras=rendered, recipes=tuple(recipes)))
         frames, starts = first.frames, np.ones(request.num_envs, np.bool_)
         while not lengths.all() and (not max_steps or len(steps) < max_steps):
             interrupt()
             output = acting.act(frames, starts)
-            reply: StepResponse = sim.step(StepRequest(session, len(steps) + 1, output.actions, cameras=rendered))
+            reply = sim.step(StepRequest(session, len(steps) + 1, output.actions, cameras=rendered))
             steps.append(_Step(frames, output, reply).recorded(cameras))
             frames, starts = reply.frames, reply.terminated | reply.truncated
             lengths[starts & (lengths == 0)] = len(steps)
@@ -129,7 +129,7 @@ def replay(
         ServiceError: The service failed; the episode can be replayed again.
     """
     frames = []
-    with _session(sim, request) as session:
+    with open_session(sim, request) as session:
         first = sim.reset(ResetRequest(session, cameras=(camera,), recipes=tuple(recipes)))
         if 0 in times:
             frames.append(first.frames[camera][-1])
@@ -137,14 +137,15 @@ def replay(
             interrupt()
             cameras = (camera,) if t in times else ()
             step = StepRequest(session, t, np.tile(action, (request.num_envs, 1)), cameras=cameras)
-            reply: StepResponse = sim.step(step)
+            reply = sim.step(step)
             if cameras:
                 frames.append(_final_frames(reply, request.num_envs - 1)[camera])
     return np.array(frames, np.uint8)
 
 
 @contextmanager
-def _session(sim: SyncClient, request: CreateSessionRequest) -> Iterator[str]:
+def open_session(sim: SyncClient, request: CreateSessionRequest) -> Iterator[str]:
+    """Yields the id of a new session."""
     session: str = sim.create_session(request).session
     try:
         yield session

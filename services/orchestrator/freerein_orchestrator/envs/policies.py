@@ -15,8 +15,8 @@ from freerein.clients import SyncClient
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.types.common import Encoding, Goal, Image, ModelRef, Observation
-from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest, GetSpecResponse
-from freerein.types.sim import ExpertActionsRequest, ExpertActionsResponse, Recipe, Task
+from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest
+from freerein.types.sim import ExpertActionsRequest, Recipe, Task
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_task
 from freerein_orchestrator.rl.network_policy import NetworkPolicy
 from freerein_orchestrator.rl.vec_env import Actions, Frames
@@ -123,7 +123,7 @@ def served_policy(
         InvalidInput: The task has other cameras or other actions.
         ServiceError: The service has no such model, or cannot be reached.
     """
-    reply: GetSpecResponse = imitation.get_spec(GetSpecRequest(model))
+    reply = imitation.get_spec(GetSpecRequest(model))
     spec = PolicyInterface.of_served(reply)
     check_task(spec, task)
     pool = closing.enter_context(ThreadPoolExecutor(_MAX_THREADS, thread_name_prefix="act"))
@@ -183,7 +183,7 @@ class _ExpertPolicy:
 
     def act(self, _frames: Mapping[str, Frames], episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
         recipes = tuple(Recipe(goal.recipe) for goal in self._session.goals)
-        reply: ExpertActionsResponse = self._sim.expert_actions(ExpertActionsRequest(self._session.id, recipes))
+        reply = self._sim.expert_actions(ExpertActionsRequest(self._session.id, recipes))
         if not recipes:
             return PolicyOutput(reply.actions)
         places = zip(self._recipes, reply.skills.tolist(), reply.finished.tolist(), strict=True)
@@ -232,7 +232,7 @@ class _ServedPolicy:
         if last is not None and not len(last.actions):
             return last
         observation = Observation(tuple(encode_raw(frame, camera) for camera, frame in frames.items()))
-        return cast(ActResponse, self._imitation.act(replace(request, observation=observation)))
+        return self._imitation.act(replace(request, observation=observation))
 
 
 def encode_raw(frame: Frames, camera: str) -> Image:

@@ -1,20 +1,20 @@
 """Predicates of a task on true states, judged by the sim service in a privileged session. For evaluation only."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.clients import SyncClient
-from freerein.errors import InvalidInput, ServiceError
-from freerein.types.sim import CheckRequest, CheckResponse, CloseSessionRequest, CreateSessionRequest, Task
+from freerein.errors import InvalidInput
+from freerein.types.sim import CheckRequest, CreateSessionRequest, Task
+from freerein_orchestrator.envs.episodes import open_session
 
 States = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-_CLOSE_TIMEOUT_S = 1.0
 _MAX_ROWS = 1_000_000
 """Limit of the sim service for one request."""
 _MAX_VALUES = 4_000_000
@@ -43,7 +43,7 @@ class TruthSession:
         for part in _parts(sequences, paired=bool(references)):
             states = sequences[part]
             request = CheckRequest(self.id, predicate, _pad(states), _pad(references[part]) if references else None)
-            reply: CheckResponse = self.sim.check(request)
+            reply = self.sim.check(request)
             found += [row[: len(each)] for row, each in zip(reply.holds, states, strict=True)]
         return found
 
@@ -51,12 +51,8 @@ class TruthSession:
 @contextmanager
 def truth_session(sim: SyncClient, task: str) -> Iterator[TruthSession]:
     """Yields a privileged session of a task."""
-    session: str = sim.create_session(CreateSessionRequest(task, seed=0, privileged=True)).session
-    try:
+    with open_session(sim, CreateSessionRequest(task, seed=0, privileged=True)) as session:
         yield TruthSession(sim, session)
-    finally:
-        with suppress(ServiceError):  # its lease will end it
-            sim.close_session(CloseSessionRequest(session), timeout_s=_CLOSE_TIMEOUT_S)
 
 
 def check_predicates(task: Task, names: Iterable[str], *, form: str) -> None:

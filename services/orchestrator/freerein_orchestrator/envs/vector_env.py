@@ -212,7 +212,7 @@ class _Session:
 
     def reset(self) -> Frames:
         frames = self.sim.reset(ResetRequest(self._session, cameras=(self._camera,))).frames
-        return cast(Frames, frames[self._camera])
+        return frames[self._camera]
 
     def step_request(self, actions: Actions) -> StepRequest:
         cameras, repeat = (self._camera,), self._action_repeat
@@ -235,7 +235,7 @@ class _Session:
         return _SessionStep(frames, final, reply.terminated, reply.truncated, oracle)
 
     def snapshot(self) -> bytes:
-        return cast(bytes, self.sim.snapshot(SnapshotRequest(self._session)).snapshot)
+        return self.sim.snapshot(SnapshotRequest(self._session)).snapshot
 
     def close(self) -> None:
         with suppress(ServiceError):

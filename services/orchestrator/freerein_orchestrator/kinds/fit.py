@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 from freerein.atomic_files import fsync_folder, write_atomic
 from freerein.clients import SyncClient
@@ -150,7 +150,7 @@ class _FitWatch:
         Raises:
             Unavailable: The service went away.
         """
-        fit: Fit = self._fits.get_fit(GetFitRequest(self.fit.id)).fit
+        fit = self._fits.get_fit(GetFitRequest(self.fit.id)).fit
         request = WatchFitRequest(fit.id, from_sequence=self._sequence)
         with suppress(DeadlineExceeded):
             for event in self._fits.watch_fit(request, timeout_s=_REST_S if fit.ended else _WATCH_S):
@@ -167,16 +167,16 @@ class _FitWatch:
 def _start(fits: SyncClient, context: RunContext, config: FitRunConfig) -> Fit:
     """Returns the fit of this run; resumes one that ended with an earlier attempt, for the run is resumed now."""
     request = StartFitRequest(config.dataset, config.model_name, config.config, idempotency_key=context.key)
-    fit = cast(Fit, fits.start_fit(request).fit)
+    fit = fits.start_fit(request).fit
     if fit.state == "cancelled" or (fit.state == "failed" and not _saved_id(context)):
-        fit = cast(Fit, fits.resume_fit(ResumeFitRequest(fit.id)).fit)
+        fit = fits.resume_fit(ResumeFitRequest(fit.id)).fit
     _save_id(context, fit.id)
     return fit
 
 
 def _cancel(fits: SyncClient, fit_id: str, context: RunContext) -> None:
     with suppress(ServiceError):  # an unavailable service continues the fit, and so does the run when resumed
-        fit: Fit = fits.cancel_fit(CancelFitRequest(fit_id), timeout_s=_CANCEL_S).fit
+        fit = fits.cancel_fit(CancelFitRequest(fit_id), timeout_s=_CANCEL_S).fit
         if fit.state != "succeeded":
             _forget_id(context)
 

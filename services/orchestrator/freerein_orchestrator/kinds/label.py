@@ -79,7 +79,7 @@ def run(context: RunContext, config: LabelConfig) -> None:
     path = context.folder / "checkpoints" / "labelled.json"
     saved = json.loads(path.read_bytes()) if path.is_file() else None
     asked = ModelRef(**saved["model"]) if saved else ModelRef(config.model, config.version)
-    model: ListSkillsResponse = retry.call(lambda: segmentation.list_skills(ListSkillsRequest(asked)))
+    model = retry.call(lambda: segmentation.list_skills(ListSkillsRequest(asked)))
     camera = choose_camera(dataset, config.camera, of_model=model.camera, field="config.camera")
     with LabelsWriter(root, name=context.key) as writer:
         first = saved["labelled"] if writer.goes_on and saved else 0

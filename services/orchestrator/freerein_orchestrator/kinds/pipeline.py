@@ -66,13 +66,10 @@ class StepConfig:
 
 
 @dataclass(frozen=True)
-class Step:
-    """A parsed step; attributes as of `StepConfig`."""
+class Step(StepConfig):
+    """A step whose `config` is parsed."""
 
-    name: str
-    kind: str
     config: Any
-    after: tuple[str, ...]
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
@@ -74,7 +73,7 @@ class LearnedReward(Reward):
 
     def _request(self, frames: Frames) -> RewardResponse:
         request = RewardRequest(self.goal_text, {self.camera: frames}, mode=self.mode, model=self.model)
-        return cast(RewardResponse, self.service.reward(request))
+        return self.service.reward(request)
 
 
 def served_entry(mode: Mode, supervision: str, *, default_model: str = "", encodes_objects: bool = True) -> RewardEntry:

@@ -185,7 +185,6 @@ def trained_on(
     *,
     device: torch.device,
     make_rewards: MakeRewards = env_rewards,
-    inputs: Mapping[str, JSON] | None = None,
 ) -> PPOState:
     """Returns the state before the first iteration of a training that goes on with that of a checkpoint.
 
@@ -196,13 +195,12 @@ def trained_on(
         config: Of the new training; `iterations` are its own. What shapes the state must be as in the checkpoint's.
         device: The device of the new training.
         make_rewards: The function that the earlier training was started with.
-        inputs: Inputs that the new training must be resumed with besides those of the checkpoint.
     """
     started = cast(Mapping[str, Mapping[str, JSON]], checkpoint.document["identity"])
     fresh = _init_learner(config, parse(ActorCriticSpec, started["network"]), device)
     identity = cast(Mapping[str, JSON], started)  # whichever torch it was trained with
     learner = train_state.from_checkpoint(checkpoint, fresh, identity)
-    state = _restored(checkpoint, config, learner, make_rewards, {**started["inputs"], **(inputs or {})})
+    state = _restored(checkpoint, config, learner, make_rewards, started["inputs"])
     schedule = replace(state.schedule, before=state.schedule.before + state.iteration)
     return replace(state, learner=replace(learner, state=replace(learner.state, step=0)), schedule=schedule)
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 from freerein.learning.config import bounded
 from freerein.types.common import Goal
-from freerein.types.sim import DrawRecipesRequest, DrawRecipesResponse, Recipe
+from freerein.types.sim import DrawRecipesRequest, Recipe
 from freerein_orchestrator.envs.episodes import Episode, run_episodes
 from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import Flags, States, TruthSession, check_predicates, truth_session
@@ -130,7 +130,7 @@ class RecipesEvaluation:
             max_skills=self._length,
             conditions=setup.config.conditions,
         )
-        reply: DrawRecipesResponse = setup.sim.draw_recipes(request)
+        reply = setup.sim.draw_recipes(request)
         return reply.recipes
 
     def result(self, trials: Sequence[Trial]) -> Result:

@@ -8,7 +8,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ from freerein.clients.tasks import find_camera
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning.config import bounded
 from freerein.types.common import ModelRef
-from freerein.types.reward import EmbedGoalRequest, EmbedGoalResponse, RewardRequest, RewardResponse
+from freerein.types.reward import EmbedGoalRequest, RewardRequest
 from freerein.types.sim import Predicate, Task
 from freerein_orchestrator.envs.episodes import Episode, run_episodes
 from freerein_orchestrator.envs.random_policies import exploration_policy
@@ -92,7 +92,7 @@ class RelationsEvaluation:
             FailedPrecondition: It does not; a caption with an unknown word would win against no other.
         """
         for predicate in chain.from_iterable(self._groups.values()):
-            answer = cast(EmbedGoalResponse, self._reward.embed_goal(EmbedGoalRequest(predicate.text, model)))
+            answer = self._reward.embed_goal(EmbedGoalRequest(predicate.text, model))
             model = answer.model
             if answer.unknown:
                 raise FailedPrecondition(
@@ -118,13 +118,13 @@ class RelationsEvaluation:
         """Returns the caption that fits each frame best: int64 (M,), indices into the group."""
         goal, *rivals = [each.text for each in self._groups[group]]
         request = RewardRequest(goal, {self._camera: frames}, rivals=tuple(rivals), model=self._model)
-        return cast(RewardResponse, self._reward.reward(request)).winners
+        return self._reward.reward(request).winners
 
     def _similarities(self, texts: Sequence[str], frame: Frames) -> list[float]:
         """Returns the similarity of a frame, uint8 (H, W, C), and each text."""
         frames = {self._camera: frame[None]}
         requests = [RewardRequest(text, frames, mode="raw", model=self._model) for text in texts]
-        return [float(cast(RewardResponse, self._reward.reward(each)).similarities[0]) for each in requests]
+        return [float(self._reward.reward(each).similarities[0]) for each in requests]
 
     def result(self, trials: Sequence[Trial]) -> Result:
         """Returns the figures of all trials."""

@@ -15,9 +15,7 @@ from freerein.types.common import ModelRef
 from freerein.types.segmentation import (
     NO_SKILL,
     ListSkillsRequest,
-    ListSkillsResponse,
     SegmentRequest,
-    SegmentResponse,
 )
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse
 from freerein_orchestrator.kinds.evaluate.form import (
@@ -78,7 +76,7 @@ class SegmentationEvaluation:
         self._setup = setup
         self._service = setup.context.client("segmentation")
         asked = setup.subject.get("model", {"name": config.model, "version": config.version})
-        self._model: ListSkillsResponse = self._service.list_skills(ListSkillsRequest(ModelRef(**asked)))
+        self._model = self._service.list_skills(ListSkillsRequest(ModelRef(**asked)))
         known = [task.skills.index(skill) if skill in task.skills else NO_SKILL for skill in self._model.skills]
         self._labels = np.array([*known, NO_SKILL])  # of the task, by the model's labels; the last is of NO_SKILL
         self.subject: dict[str, Any] = {"model": asdict(self._model.model)}
@@ -125,7 +123,7 @@ class SegmentationEvaluation:
             min_kept=self._setup.config.min_kept,
             min_confidence=self._setup.config.min_confidence,
         )
-        answer: SegmentResponse = self._service.segment(request)
+        answer = self._service.segment(request)
         labels = self._labels[answer.labels]
         values = {
             "truth": truth.tolist(),
