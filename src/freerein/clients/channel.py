@@ -13,7 +13,7 @@ import grpc
 from grpc import aio
 
 from freerein.clients import retry_policy
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, must_be
 
 MAX_MESSAGE_BYTES = 64 * 2**20
 _NO_PROXIES = ("no_grpc_proxy", "no_proxy")
@@ -68,11 +68,8 @@ class Channel:
                 hint="Give the token as the service has it in FREEREIN_TOKEN, without line breaks.",
             )
         if not keepalive_s >= 1:
-            raise InvalidInput(
-                f"`keepalive_s` must be at least 1 second, or infinity for no pings; got {keepalive_s:g}.",
-                field="keepalive_s",
-                hint="Leave it out for 10 s.",
-            )
+            hint = "Leave it out for 10 s."
+            raise must_be("keepalive_s", "at least 1 second, or infinity for no pings", f"{keepalive_s:g}", hint=hint)
         self.address = address
         self._keepalive_ms = int(min(keepalive_s * 1000, 2**31 - 1))
         self._authorization = (("authorization", f"Bearer {token}"),) if token else ()

@@ -8,13 +8,13 @@ Every call gets its deadline, token and request id here.
 
 import asyncio
 import uuid
-from collections.abc import AsyncGenerator, AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import replace
 from operator import methodcaller
 from types import TracebackType
-from typing import Any, Generic, SupportsFloat, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, Protocol, SupportsFloat, TypeVar, cast, overload
 
 from google.protobuf.descriptor import MethodDescriptor
 from google.protobuf.message import Message
@@ -24,13 +24,19 @@ from typing_extensions import Self
 from freerein import wire
 from freerein.clients.channel import MAX_MESSAGE_BYTES, Channel
 from freerein.clients.grpc_errors import service_error
-from freerein.errors import Internal, InvalidInput, ServiceError, TooLarge
+from freerein.errors import Internal, InvalidInput, ServiceError, TooLarge, must_be
+
+if TYPE_CHECKING:
+    from freerein.clients.sync_client import SyncClient
 
 DEADLINE_S = 30.0
 _LONGEST_S = 1e9
 
 Request = TypeVar("Request")
 Response = TypeVar("Response")
+Blocking = TypeVar("Blocking")
+Sent_contra = TypeVar("Sent_contra", contravariant=True)
+Reply_co = TypeVar("Reply_co", covariant=True)
 
 
 class Client:
@@ -56,7 +62,14 @@ class Client:
         await self.close()
 
 
-class Rpc(Generic[Request, Response]):
+class BlockingCall(Protocol[Sent_contra, Reply_co]):
+    """The method that a `SyncClient` has for an RPC."""
+
+    def __call__(self, request: Sent_contra, /, *, timeout_s: float | None = ...) -> Reply_co:
+        """Sends a request and returns the reply."""
+
+
+class Rpc(Generic[Request, Response, Blocking]):
     """One RPC, as an attribute of a client's class; on an instance it is a method.
 
     Args:
@@ -73,7 +86,13 @@ class Rpc(Generic[Request, Response]):
     def __set_name__(self, owner: type[Client], name: str) -> None:
         self._attribute = name
 
-    def __get__(self, client: Client | None, owner: type[Client]) -> Self:
+    @overload
+    def __get__(self, client: None, owner: type[Client]) -> Self: ...
+    @overload
+    def __get__(self, client: "SyncClient", owner: type[Client]) -> Blocking: ...
+    @overload
+    def __get__(self, client: Client, owner: type[Client]) -> Self: ...
+    def __get__(self, client: Client | None, owner: type[Client]) -> Any:
         if client is None:
             return self
         bound = self.bound_to(client.channel)
@@ -144,7 +163,7 @@ class Rpc(Generic[Request, Response]):
             ) from error
 
 
-class UnaryRpc(Rpc[Request, Response]):
+class UnaryRpc(Rpc[Request, Response, BlockingCall[Request, Response]]):
     """An RPC with one response."""
 
     async def __call__(self, request: Request, *, timeout_s: float | None = DEADLINE_S) -> Response:
@@ -166,7 +185,7 @@ class UnaryRpc(Rpc[Request, Response]):
         return self._unpacked(received)
 
 
-class ServerStreamRpc(Rpc[Request, Response]):
+class ServerStreamRpc(Rpc[Request, Response, BlockingCall[Request, Generator[Response, None, None]]]):
     """An RPC with a stream of responses to one request."""
 
     def __call__(self, request: Request, *, timeout_s: float | None = None) -> AsyncGenerator[Response, None]:
@@ -174,7 +193,7 @@ class ServerStreamRpc(Rpc[Request, Response]):
         return self._stream(_packed(request), timeout_s)
 
 
-class StreamRpc(Rpc[Request, Response]):
+class StreamRpc(Rpc[Request, Response, BlockingCall[AsyncIterator[Request], Generator[Response, None, None]]]):
     """An RPC with a stream of responses to a stream of requests."""
 
     def __call__(
@@ -190,11 +209,8 @@ def _deadline(timeout_s: float | None) -> float | None:
     if timeout_s is None:
         return None
     if isinstance(timeout_s, bool) or not isinstance(timeout_s, SupportsFloat) or not float(timeout_s) > 0:
-        raise InvalidInput(
-            f"`timeout_s` must be seconds above 0, or None for no deadline; got {_shown(timeout_s)}.",
-            field="timeout_s",
-            hint=f"Leave it out for {DEADLINE_S:g} s.",
-        )
+        hint = f"Leave it out for {DEADLINE_S:g} s."
+        raise must_be("timeout_s", "seconds above 0, or None for no deadline", _shown(timeout_s), hint=hint)
     return float(timeout_s) if timeout_s <= _LONGEST_S else None
 
 

@@ -10,10 +10,10 @@ import asyncio
 import os
 import threading
 import weakref
-from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator
 from concurrent.futures import CancelledError, Future
 from types import TracebackType
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from typing_extensions import Self
 
@@ -25,8 +25,26 @@ _END_S = 1.0
 _Started = tuple[asyncio.AbstractEventLoop, asyncio.Event]
 
 
-class SyncClient:
+if TYPE_CHECKING:
+    from freerein.clients import services
+
+    class _EveryRpc(
+        services.SimClient,
+        services.SegmentationClient,
+        services.ImitationClient,
+        services.RewardClient,
+        services.OrchestratorClient,
+        services.FitClient,
+        services.ModelClient,
+    ): ...
+else:
+    _EveryRpc = object
+
+
+class SyncClient(_EveryRpc):
     """A client whose methods block, and whose asynchronous iterators are plain iterators. Thread-safe.
+
+    Type checkers see the RPCs of all services; it has those of its client.
 
     Args:
         client: The client, owned by this object from now on: closed by `close`, on garbage collection, or at exit.
@@ -55,7 +73,7 @@ class SyncClient:
 
         return call
 
-    def close(self) -> None:
+    def close(self) -> None:  # type: ignore[override]  # it blocks, too
         """Closes the client and ends the thread; may be called twice."""
         self._stop()
 
@@ -86,7 +104,7 @@ class SyncClient:
             future.cancel()
             raise
 
-    def _iterate(self, replies: "_Replies[T]") -> Iterator[T]:
+    def _iterate(self, replies: "_Replies[T]") -> Generator[T, None, None]:
         try:
             while True:
                 yield self._wait(replies.next())

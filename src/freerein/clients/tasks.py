@@ -1,7 +1,7 @@
 """Looks up a task of the sim service, and a camera of a task, by name."""
 
 from freerein.clients.sync_client import SyncClient
-from freerein.errors import InvalidInput, NotFound
+from freerein.errors import NotFound, must_be
 from freerein.types.common import Camera
 from freerein.types.sim import ListTasksRequest, ListTasksResponse, Task
 
@@ -27,9 +27,6 @@ def find_camera(task: Task, name: str, *, field: str = "config.camera") -> Camer
     """Returns the task's camera of that name, its first for an empty one. Raises InvalidInput if there is none."""
     cameras = {camera.name: camera for camera in task.cameras}
     if name and name not in cameras:
-        raise InvalidInput(
-            f"`camera` must be one of the task's, {', '.join(cameras)}; got another.",
-            field=field,
-            hint="Leave it out for the first.",
-        )
+        hint = "Leave it out for the first."
+        raise must_be("`camera`", f"one of the task's, {', '.join(cameras)}", "another", field=field, hint=hint)
     return cameras[name] if name else task.cameras[0]

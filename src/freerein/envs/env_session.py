@@ -156,7 +156,7 @@ class EnvSession:
 
     def reset(self, *, seed: int | None, envs: tuple[int, ...] = ()) -> ResetResponse:
         """Begins new episodes in `envs`, or in all environments if empty."""
-        reply: ResetResponse = self._sim.reset(ResetRequest(self._session, envs, seed, self.cameras))
+        reply = self._sim.reset(ResetRequest(self._session, envs, seed, self.cameras))
         if not envs:
             self._ahead, self._unknown = self._ahead + self._unknown, 0
         return reply
@@ -208,7 +208,7 @@ class EnvSession:
             self._session, self._step_id + 1, actions, self.cameras, action_repeat=self._action_repeat
         )
         try:
-            reply: StepResponse = self._sim.step(request)
+            reply = self._sim.step(request)
         except (InvalidInput, FailedPrecondition, Overloaded):
             raise
         except BaseException:

@@ -31,7 +31,7 @@ class LeasedSession:
 
     def __init__(self, sim: SyncClient, request: CreateSessionRequest) -> None:
         keyed = replace(request, idempotency_key=uuid.uuid4().hex)
-        self.created: CreateSessionResponse = sim.create_session(keyed)
+        self.created = sim.create_session(keyed)
         ended = threading.Event()
         self._thread = threading.Thread(
             target=_keep, args=(sim, keyed, self.created, ended), name="session-lease", daemon=True

@@ -173,8 +173,7 @@ class _FrameRewards:
         self._client.close()
 
     def _ask(self, frames: dict[str, npt.NDArray[np.uint8]]) -> RewardResponse:
-        answer: RewardResponse = self._client.reward(replace(self._request, frames=frames))
-        return answer
+        return self._client.reward(replace(self._request, frames=frames))
 
 
 def _frame_shapes(space: spaces.Space[Any], only_camera: str) -> dict[str, tuple[int, ...]]:
