@@ -14,11 +14,12 @@ from experiments.robustness.fits import fit_once
 from experiments.robustness.worlds import CAMERA, NOMINAL, conditions
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.workbench.results import Outcome, Sample
+from freerein.learning.inputs import spec_of
 from freerein.learning.trajectories import Trajectories
 from freerein.types.segmentation import SegmentRequest
 from freerein_segmentation.core.decoding import Decoded, decode
-from freerein_segmentation.model import SegmentationModel, load
-from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, network_spec
+from freerein_segmentation.model import ModelSpec, SegmentationModel, load
+from freerein_segmentation.training import SegmentationConfig, SegmentationLearner
 from freerein_sim.worlds.tasks import tasks
 
 Guess = Callable[..., npt.NDArray[np.int64]]
@@ -54,7 +55,7 @@ def fit_model(config: SegmentationConfig, work: Path, on_progress: Callable[[], 
             fraction=config.validation_fraction, seed=config.seed
         )
         cameras = tuple(camera for camera in spec.cameras if camera.name == CAMERA)
-        network = network_spec(config, cameras=cameras, action=spec.action, skills=spec.skills)
+        network = spec_of(config, ModelSpec, cameras=cameras, action=spec.action, skills=spec.skills)
         return SegmentationLearner(config, network, training, validation, data, torch.device("cpu"))
 
     data = dataset_path(TRAINING, work).name

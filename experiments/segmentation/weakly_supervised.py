@@ -3,8 +3,10 @@
 from pathlib import Path
 
 from experiments.segmentation.dataset import DatasetSpec, open_split
+from freerein.learning.inputs import spec_of
 from freerein.learning.model_files import choose_device
-from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, network_spec
+from freerein_segmentation.model import ModelSpec
+from freerein_segmentation.training import SegmentationConfig, SegmentationLearner
 
 
 def make_learner(
@@ -14,7 +16,7 @@ def make_learner(
     world = spec.world
     return SegmentationLearner(
         config,
-        network_spec(config, cameras=world.cameras[:1], action=world.action, skills=world.skills),
+        spec_of(config, ModelSpec, cameras=world.cameras[:1], action=world.action, skills=world.skills),
         open_split(folder, spec, "train", sees_frames=sees_frames),
         open_split(folder, spec, "validation", sees_frames=sees_frames),
         fingerprint=folder.name,

@@ -9,11 +9,12 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
+from freerein.learning.inputs import spec_of
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.segmentation import FLAGGED
 from freerein_imitation.model.policy import ControlSpec
-from freerein_imitation.model.skills import SkillsPolicy
+from freerein_imitation.model.skills import SkillsPolicy, SkillsSpec
 from freerein_imitation.training.skill_segments import (
     SkillSegment,
     end_at_waypoints,
@@ -23,7 +24,7 @@ from freerein_imitation.training.skill_segments import (
     steps_of,
 )
 from freerein_imitation.training.skill_waypoints import Waypoints
-from freerein_imitation.training.skills import SkillsConfig, SkillsLearner, network_spec
+from freerein_imitation.training.skills import SkillsConfig, SkillsLearner
 
 SKILLS = ("to-red", "to-blue")
 MORE_SKILLS = ("wave", *SKILLS, "jump")
@@ -81,7 +82,7 @@ def prepare(
     action: ActionSpec = ACTION,
     skills: tuple[str, ...] = SKILLS,
 ) -> SkillsLearner:
-    spec = network_spec(config, cameras=cameras, action=action, skills=skills)
+    spec = spec_of(config, SkillsSpec, cameras=cameras, action=action, skills=skills)
     return SkillsLearner.prepare(config, spec, demonstrations, labels, fingerprint="fingerprint", device=CPU)
 
 
@@ -217,7 +218,7 @@ def test_long_demonstrations_are_encoded_in_parts() -> None:
     [(("dy", "Left.Gripper"), (False, True)), (("dy", "dz"), (False, False)), ((), (False, False))],
 )
 def test_a_gripper_is_known_by_its_name_in_any_case(names: tuple[str, ...], expected: tuple[bool, ...]) -> None:
-    spec = network_spec(FAST, cameras=CAMERAS, action=ActionSpec(2, 0, names), skills=SKILLS)
+    spec = spec_of(FAST, SkillsSpec, cameras=CAMERAS, action=ActionSpec(2, 0, names), skills=SKILLS)
     assert spec.is_gripper == expected
 
 

@@ -169,7 +169,7 @@ def test_what_a_teacher_cannot_tell_is_as_likely_as_among_the_trajectories_with_
         if name == "bias":
             tensor.data[0] = bias  # log 5 = 1.61
     config = SegmentationConfig(final_objective="self_training")
-    teacher = Teacher(network, None, config, context=0, log_share=torch.tensor([1.0, 0.2]).log())
+    teacher = Teacher(network, config, context=0, log_share=torch.tensor([1.0, 0.2]).log())
     batch = TrajectoryBatch(
         {"front": torch.zeros(3, 4, 4, 1, dtype=torch.uint8)},
         torch.zeros(3, 1),
@@ -177,7 +177,7 @@ def test_what_a_teacher_cannot_tell_is_as_likely_as_among_the_trajectories_with_
         torch.ones(1, 2) > 0,
     )
     assert teacher.label(batch).tolist() == [[expected] * 3]
-    loaded = Teacher.load(teacher.tensors, spec, config, context=0, device=torch.device("cpu"))
+    loaded = Teacher.load(teacher.state_dict(), spec, config, context=0)
     assert loaded.label(batch).tolist() == [[expected] * 3]
 
 

@@ -11,11 +11,12 @@ from freerein import metrics
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import FitResult, TrainingFailed, fit
+from freerein.learning.inputs import spec_of
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.segmentation import FLAGGED
 from freerein_segmentation import training
-from freerein_segmentation.model import SegmentationModel
+from freerein_segmentation.model import ModelSpec, SegmentationModel
 from freerein_segmentation.objectives import OBJECTIVES
 from freerein_segmentation.training import Confidence, SegmentationConfig, SegmentationLearner, self_training
 
@@ -55,7 +56,7 @@ def make(count: int, *, seed: int, skills: int = 2) -> tuple[Trajectories, list[
 def learner(config: SegmentationConfig = FAST) -> SegmentationLearner:
     learnt, _ = make(48, seed=0)
     held_out, _ = make(8, seed=1)
-    spec = training.network_spec(config, cameras=CAMERAS, action=ACTION, skills=SKILLS)
+    spec = spec_of(config, ModelSpec, cameras=CAMERAS, action=ACTION, skills=SKILLS)
     return SegmentationLearner(config, spec, learnt, held_out, "fingerprint", CPU)
 
 
@@ -201,7 +202,7 @@ def test_discrete_actions_and_no_actions_are_learnt_from_too() -> None:
     steps = [np.zeros((length, 1), np.int64) for length in learnt.lengths()]
     discrete = replace(learnt, actions=steps)
     for config in (FAST, replace(FAST, use_actions=False)):
-        spec = training.network_spec(config, cameras=CAMERAS, action=STEPS, skills=SKILLS)
+        spec = spec_of(config, ModelSpec, cameras=CAMERAS, action=STEPS, skills=SKILLS)
         whole = SegmentationLearner(config, spec, discrete, discrete, "fingerprint", CPU)
         state, figures = whole.update(whole.init(torch.Generator().manual_seed(0)), np.arange(4))
         assert state.step == 1
@@ -210,7 +211,7 @@ def test_discrete_actions_and_no_actions_are_learnt_from_too() -> None:
 
 def test_with_a_stride_each_update_sees_other_timesteps_and_short_trajectories_still_count() -> None:
     learnt, _ = make(2, seed=0)
-    spec = training.network_spec(replace(FAST, stride=5), cameras=CAMERAS, action=ACTION, skills=SKILLS)
+    spec = spec_of(replace(FAST, stride=5), ModelSpec, cameras=CAMERAS, action=ACTION, skills=SKILLS)
     batch = training.gather(learnt, [0, 1], [2, 4], spec=spec, device=CPU)
     frames = learnt.frames["front"]
     expected = [frames[0][2::5], frames[1][4::5]]

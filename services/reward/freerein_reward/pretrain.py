@@ -19,8 +19,6 @@ from freerein_reward.model import GROUNDING, DualEncoder, GradCamModel
 from freerein_reward.training import (
     GroundingConfig,
     GroundingLearner,
-    calibrate_known_phrases,
-    calibrate_presence,
     evaluate_grounding,
     evaluate_known_phrases,
 )
@@ -47,8 +45,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _pretrain(folder: Path, learner: GroundingLearner) -> int:
     def save(fitted: FitResult[DualEncoder], path: Path) -> None:
-        calibrate_presence(fitted.network, learner)
-        calibrate_known_phrases(fitted.network, learner)
         save_model(fitted.network, path, card=_card(learner, fitted))
 
     if not fit_and_save(learner, folder, save, on_event=_print_event):

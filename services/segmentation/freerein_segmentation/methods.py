@@ -17,21 +17,21 @@ from freerein.errors import InvalidInput
 from freerein.learning.action_scaling import ActionScaling
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method, Methods
 from freerein_segmentation import model
 from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork
-from freerein_segmentation.training import Confidence, SegmentationConfig, SegmentationLearner, network_spec
+from freerein_segmentation.training import Confidence, SegmentationConfig, SegmentationLearner
 
 _ENCODER_COST = {"convolutional": 3.2}
 """Memory of an encoder relative to that of `patch`, measured, where it takes more."""
 
 
-def _resolve(source: FitDataset, config: SegmentationConfig) -> SegmentationConfig:
+def _check(source: FitDataset, config: SegmentationConfig) -> None:
     _check_tags(source.dataset)
     _check_evidence(source.dataset, config)
     _spec(source, config)  # rejects frames and actions that are out of bounds
     _check_memory(source, config)
-    return config
 
 
 def _check_tags(dataset: Dataset) -> None:
@@ -72,7 +72,8 @@ def _prepare(source: FitDataset, config: SegmentationConfig, device: torch.devic
 
 def _spec(source: FitDataset, config: SegmentationConfig, *, action_scaling: ActionScaling | None = None) -> ModelSpec:
     spec, cameras = source.dataset.spec, source.cameras(config.cameras)
-    return network_spec(config, cameras=cameras, action=spec.action, skills=spec.skills, action_scaling=action_scaling)
+    skills = {"skills": spec.skills, "action_scaling": action_scaling}
+    return spec_of(config, ModelSpec, cameras=cameras, action=spec.action, **skills)
 
 
 def _card(source: FitDataset, learner: SegmentationLearner, fitted: FitResult[SegmentationNetwork]) -> dict[str, Any]:
@@ -103,5 +104,5 @@ def _undecided(confidence: Confidence) -> Iterator[str]:
 
 METHODS: Methods[SegmentationModel] = Methods(
     "segmentation",
-    MappingProxyType({"set_supervised": Method(SegmentationConfig, _resolve, _prepare, _card, model.load)}),
+    MappingProxyType({"set_supervised": Method(SegmentationConfig, _check, _prepare, _card, model.load)}),
 )

@@ -40,24 +40,26 @@ class Method(Generic[C, L, N, M_co]):
 
     Attributes:
         config: Class of the configuration.
-        resolve: Returns the configuration completed by what the dataset decides. Raises InvalidInput where the
-            dataset cannot be trained on, before a fit is queued. Further keyword arguments are as of `prepare`.
+        check: Raises InvalidInput where the dataset cannot be trained on, before a fit is queued; what it returns
+            does not matter. Further keyword arguments are as of `prepare`.
         prepare: Returns the learner of a fit, for a dataset, a resolved configuration and a device; further keyword
             arguments are the resources of `Methods.run_fit`.
         card: Returns the card's entries of this method, such as `supervision`; they replace the common ones of the
             same name.
         load: Returns the model in a folder, for a device `auto`, `cpu` or `cuda:N`. Raises InvalidInput where a file is
             missing or malformed.
+        complete: Returns the configuration completed by what the dataset decides.
         files: Returns files of the model beside weights and card, by name.
         needs_actions: Whether it learns from executed actions. One whose configuration has `use_actions` does without
             where the dataset has none.
     """
 
     config: type[C]
-    resolve: Callable[..., C]
+    check: Callable[..., object]
     prepare: Callable[..., L]
     card: Callable[[FitDataset, L, FitResult[N]], dict[str, Any]]
     load: Callable[[Path, str], M_co]
+    complete: Callable[[FitDataset, C], C] = lambda _source, config: config
     files: Callable[[L], Mapping[str, bytes]] = lambda _learner: {}
     needs_actions: bool = True
 
@@ -92,8 +94,8 @@ class Methods(Generic[M_co]):
         config = replace(config, cameras=choose_cameras(source.dataset, config.cameras))
         if method.needs_actions and not source.dataset.spec.has_actions:
             config = _without_actions(config, given)
-        config = method.resolve(source, config, **resources)
-        return {"method": name, **asdict(config)}
+        method.check(source, config, **resources)
+        return {"method": name, **asdict(method.complete(source, config))}
 
     def schema(self) -> dict[str, Any]:
         """Returns the JSON schema of the configuration of a fit, as `resolve` takes it."""

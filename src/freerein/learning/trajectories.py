@@ -7,6 +7,8 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor
 
 from freerein.data.batch_memory import MOST_NUMBERS
 from freerein.errors import InvalidInput
@@ -90,7 +92,7 @@ class Trajectories:
         )
         return self.subset(training), self.subset(validation)
 
-    def sample_frames(self, count: int) -> dict[str, npt.NDArray[np.uint8]]:
+    def sample_frames(self, count: int) -> dict[str, Tensor]:
         """Returns about `count` frames of each camera, uint8 (N, H, W, C), spaced evenly over all trajectories.
 
         They are fewer where they would be more than `MOST_NUMBERS` numbers.
@@ -98,6 +100,6 @@ class Trajectories:
         total, largest = int(self.lengths().sum()), max(math.prod(each[0].shape[1:]) for each in self.frames.values())
         every = max(1, total // count, -(-total * largest // MOST_NUMBERS))
         return {
-            camera: np.concatenate([each[item][item % every :: every] for item in range(len(self))])
+            camera: torch.from_numpy(np.concatenate([each[item][item % every :: every] for item in range(len(self))]))
             for camera, each in self.frames.items()
         }

@@ -19,11 +19,6 @@ _REACHED_THRESHOLD = 0.4
 _GOAL_STEPS_FACTOR = 3
 
 
-def _resolve(source: FitDataset, config: GoalCloningConfig) -> GoalCloningConfig:
-    _spec(source, config)  # rejects frames and actions that are out of bounds
-    return config
-
-
 def _prepare(source: FitDataset, config: GoalCloningConfig, device: torch.device) -> GoalCloningLearner:
     training, validation = source.trajectories(config.cameras).split(
         fraction=config.validation_fraction, seed=config.seed, min_length=config.max_goal_steps + 2
@@ -37,7 +32,7 @@ def _card(source: FitDataset, learner: GoalCloningLearner, fitted: FitResult[Goa
     control = ControlSpec(
         1 / source.dataset.spec.fps, _REACHED_THRESHOLD, _GOAL_STEPS_FACTOR * learner.config.max_goal_steps
     )
-    figures = {f"{name}_loss": term.item() for name, term in vars(losses).items()}
+    figures = {name: loss.item() for name, loss in losses.items()}
     return {
         **control.to_card(),
         "figures": fitted.figures | figures,
@@ -62,4 +57,4 @@ def _spec(source: FitDataset, config: GoalCloningConfig) -> GoalCloningSpec:
     return spec_of(config, GoalCloningSpec, cameras=cameras, action=action)
 
 
-METHOD = Method(GoalCloningConfig, _resolve, _prepare, _card, _load)
+METHOD = Method(GoalCloningConfig, _spec, _prepare, _card, _load)

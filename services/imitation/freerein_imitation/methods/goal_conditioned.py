@@ -17,11 +17,6 @@ from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, GoalConditionedLearner
 
 
-def _resolve(source: FitDataset, config: GoalConditionedConfig) -> GoalConditionedConfig:
-    _spec(source, config)  # rejects frames and actions that are out of bounds
-    return config
-
-
 def _prepare(source: FitDataset, config: GoalConditionedConfig, device: torch.device) -> GoalConditionedLearner:
     return goal_images.prepare(source, config, _spec(source, config), device, GoalConditionedLearner)
 
@@ -43,4 +38,4 @@ def _spec(source: FitDataset, config: GoalConditionedConfig) -> GoalConditionedS
     return spec_of(config, GoalConditionedSpec, cameras=cameras, action=action, forward_model=has_forward_model)
 
 
-METHOD = Method(GoalConditionedConfig, _resolve, _prepare, _card, _load)
+METHOD = Method(GoalConditionedConfig, _spec, _prepare, _card, _load)

@@ -34,7 +34,7 @@ def card(
     """Returns the card's entries of a fitted network."""
     losses = learner.validation_losses(fitted.network)
     threshold = reached_threshold(fitted.network.recognizer, learner.validation)
-    figures = {"action_loss": losses.action.item(), "recognizer_loss": losses.recognizer.item()}
+    figures = {name: losses[name].item() for name in ("action_loss", "recognizer_loss")}
     return {
         **ControlSpec(1 / source.dataset.spec.fps, threshold, max_steps_per_goal).to_card(),
         "figures": fitted.figures | figures,

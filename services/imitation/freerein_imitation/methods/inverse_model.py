@@ -90,11 +90,6 @@ class InverseModelLearner(GoalImagesLearner[InverseModelNetwork]):
         return action, action.new_zeros(())
 
 
-def _resolve(source: FitDataset, config: InverseModelConfig) -> InverseModelConfig:
-    _spec(source, config)  # rejects frames and actions that are out of bounds
-    return config
-
-
 def _prepare(source: FitDataset, config: InverseModelConfig, device: torch.device) -> InverseModelLearner:
     return goal_images.prepare(source, config, _spec(source, config), device, InverseModelLearner)
 
@@ -113,4 +108,4 @@ def _spec(source: FitDataset, config: InverseModelConfig) -> GoalImagesSpec:
     return spec_of(config, GoalImagesSpec, cameras=cameras, action=action)
 
 
-METHOD = Method(InverseModelConfig, _resolve, _prepare, _card, _load)
+METHOD = Method(InverseModelConfig, _spec, _prepare, _card, _load)

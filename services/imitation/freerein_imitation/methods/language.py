@@ -11,22 +11,24 @@ from freerein.data import read_teachers
 from freerein.errors import InvalidInput
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
 from freerein_imitation.model.language import (
     TEXT_ENCODER_FILE,
     TEXTS_FILE,
     LanguageNetwork,
     LanguagePolicy,
+    LanguageSpec,
     text_encoder_entry,
 )
 from freerein_imitation.model.policy import NEVER_REACHED, ControlSpec
 from freerein_imitation.training import minilm
-from freerein_imitation.training.language import LanguageConfig, LanguageLearner, network_spec
+from freerein_imitation.training.language import LanguageConfig, LanguageLearner
 
 _TEXTS_IN_CARD = 64
 
 
-def _resolve(source: FitDataset, config: LanguageConfig) -> LanguageConfig:
+def _check(source: FitDataset, config: LanguageConfig) -> None:
     dataset = source.dataset
     minilm.check()
     missing = dataset.goal_texts.count("")
@@ -36,8 +38,11 @@ def _resolve(source: FitDataset, config: LanguageConfig) -> LanguageConfig:
             field="dataset",
             hint="Record each trajectory with its goal text.",
         )
-    network_spec(config, cameras=source.cameras(config.cameras), action=dataset.spec.action)  # rejects bad sizes
-    longest = int(dataset.lengths.max(initial=1))
+    spec_of(config, LanguageSpec, cameras=source.cameras(config.cameras), action=dataset.spec.action)
+
+
+def _complete(source: FitDataset, config: LanguageConfig) -> LanguageConfig:
+    longest = int(source.dataset.lengths.max(initial=1))
     return replace(config, max_steps_per_goal=config.max_steps_per_goal or longest)
 
 
@@ -78,4 +83,4 @@ def supervision_of(teacher_cards: Sequence[Mapping[str, Any]]) -> dict[str, Any]
     return {"supervision": supervision, "privileged": any(card.get("privileged") is True for card in teacher_cards)}
 
 
-METHOD = Method(LanguageConfig, _resolve, _prepare, _card, LanguagePolicy.load, files=_files)
+METHOD = Method(LanguageConfig, _check, _prepare, _card, LanguagePolicy.load, complete=_complete, files=_files)

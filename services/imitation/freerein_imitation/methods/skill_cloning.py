@@ -18,11 +18,6 @@ from freerein_imitation.training.skill_cloning_config import SkillCloningConfig,
 from freerein_imitation.training.skill_spans import RobotStates
 
 
-def _resolve(source: FitDataset, config: SkillCloningConfig) -> SkillCloningConfig:
-    _spec(source, config)  # rejects frames and actions that are out of bounds, and a dataset without labels
-    return config
-
-
 def _prepare(source: FitDataset, config: SkillCloningConfig, device: torch.device) -> SkillCloningLearner:
     labelled = labels.all_labels(source.root, source.dataset.lengths)
     return SkillCloningLearner.prepare(
@@ -52,8 +47,8 @@ def _robot_states(source: FitDataset) -> RobotStates:
 def _card(source: FitDataset, learner: SkillCloningLearner, fitted: FitResult[SkillCloningNetwork]) -> dict[str, Any]:
     losses, limits = learner.validation_losses(fitted.network), learner.step_limits()
     figures = {
-        "action_loss": losses.action.item(),
-        "termination_loss": losses.termination.item(),
+        "action_loss": losses["action_loss"].item(),
+        "termination_loss": losses["termination_loss"].item(),
         "segments": len(learner.segments),
     }
     threshold = learner.termination_threshold(fitted.network) if learner.config.ends == "head" else 1.0
@@ -77,4 +72,4 @@ def _spec(source: FitDataset, config: SkillCloningConfig) -> SkillCloningSpec:
     )
 
 
-METHOD = Method(SkillCloningConfig, _resolve, _prepare, _card, SkillCloningPolicy.load)
+METHOD = Method(SkillCloningConfig, _spec, _prepare, _card, SkillCloningPolicy.load)

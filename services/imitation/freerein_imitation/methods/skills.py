@@ -9,15 +9,11 @@ import torch
 from freerein.data import labels
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.skills import GRIPPER, SkillsNetwork, SkillsPolicy, SkillsSpec
-from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConfig, SkillsLearner, network_spec
-
-
-def _resolve(source: FitDataset, config: SkillsConfig) -> SkillsConfig:
-    _spec(source, config)  # rejects frames and actions that are out of bounds, and a dataset without labels
-    return config
+from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConfig, SkillsLearner
 
 
 def _prepare(source: FitDataset, config: SkillsConfig, device: torch.device) -> SkillsLearner:
@@ -35,8 +31,8 @@ def _prepare(source: FitDataset, config: SkillsConfig, device: torch.device) -> 
 def _card(source: FitDataset, learner: SkillsLearner, fitted: FitResult[SkillsNetwork]) -> dict[str, Any]:
     losses = learner.validation_losses(fitted.network)
     figures = {
-        "action_loss": losses.action.item(),
-        "termination_loss": losses.termination.item(),
+        "action_loss": losses["action_loss"].item(),
+        "termination_loss": losses["termination_loss"].item(),
         "segments": len(learner.segments),
     }
     control = ControlSpec(1 / source.dataset.spec.fps, TERMINATION_THRESHOLD, learner.max_steps_per_skill)
@@ -60,12 +56,13 @@ def _without_gripper(spec: SkillsSpec) -> Iterator[str]:
 
 
 def _spec(source: FitDataset, config: SkillsConfig) -> SkillsSpec:
-    return network_spec(
+    return spec_of(
         config,
+        SkillsSpec,
         cameras=source.cameras(config.cameras),
         action=source.dataset.spec.action,
         skills=labels.info(source.root).skills,
     )
 
 
-METHOD = Method(SkillsConfig, _resolve, _prepare, _card, SkillsPolicy.load)
+METHOD = Method(SkillsConfig, _spec, _prepare, _card, SkillsPolicy.load)

@@ -1,9 +1,5 @@
 """Features, and image statistics, of many frames."""
 
-from collections.abc import Mapping
-
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
@@ -32,14 +28,14 @@ def encode_trajectory(encoder: nn.Module, trajectories: Trajectories, item: int)
 
 def sampled_statistics(trajectories: Trajectories) -> Tensor:
     """Returns image statistics of about `KNOWN_FRAMES` frames, float32 (N, D)."""
-    return _statistics(trajectories.sample_frames(KNOWN_FRAMES))
+    return image_statistics(trajectories.sample_frames(KNOWN_FRAMES))
 
 
 def trajectory_statistics(trajectories: Trajectories) -> Tensor:
     """Returns image statistics of every frame, trajectory after trajectory, float32 (N, D)."""
-    items = range(len(trajectories))
-    return torch.cat([_statistics({name: each[item] for name, each in trajectories.frames.items()}) for item in items])
-
-
-def _statistics(frames: Mapping[str, npt.NDArray[np.uint8]]) -> Tensor:
-    return image_statistics({name: torch.tensor(each) for name, each in frames.items()})
+    return torch.cat(
+        [
+            image_statistics({name: torch.tensor(each[item]) for name, each in trajectories.frames.items()})
+            for item in range(len(trajectories))
+        ]
+    )

@@ -85,31 +85,8 @@ class GoalCloningConfig(DatasetFitConfig):
 
 
 @dataclass(frozen=True, eq=False)
-class GoalCloningLosses:
-    """Loss terms, each float (): of actions, of odometry, in actions, and of telling whether a scene changed."""
-
-    action: Tensor
-    odometry: Tensor
-    change: Tensor
-
-    @property
-    def total(self) -> Tensor:
-        """The sum that is minimised."""
-        return self.action + _ODOMETRY_WEIGHT * self.odometry + _CHANGE_WEIGHT * self.change
-
-
-@dataclass(frozen=True, eq=False)
 class GoalCloningLearner(Learner[GoalCloningNetwork]):
-    """Learner of the network; an item is a window of a trajectory.
-
-    Attributes:
-        config: Configuration.
-        spec: Spec of the network.
-        training: Training trajectories.
-        validation: Validation trajectories.
-        fingerprint: Fingerprint of the dataset.
-        device: Device to train on.
-    """
+    """Learner of the network; an item is a window of a trajectory."""
 
     config: GoalCloningConfig
     spec: GoalCloningSpec
@@ -139,8 +116,7 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
         """Returns the state before the first update."""
         network = GoalCloningNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        sampled = self.training.sample_frames(_NORMALISATION_FRAMES)
-        frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
+        frames = self.training.sample_frames(_NORMALISATION_FRAMES)
         network.encoder.fit_normalisation(frames, generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
@@ -149,18 +125,18 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
         rng = state.rng()
         batch = self._sample(self.training, self._training_alike, self._windows[items].tolist(), rng)
         losses = self._losses(state.network, batch, rng)
-        return {"train_loss": losses.total} | {f"{name}_loss": term for name, term in vars(losses).items()}
+        return {"train_loss": _total(losses), **losses}
 
     def evaluate(self, state: TrainState[GoalCloningNetwork]) -> float:
         """Returns the sum of the losses on validation trajectories."""
-        return self.validation_losses(state.network).total.item()
+        return _total(self.validation_losses(state.network)).item()
 
     @torch.no_grad()
-    def validation_losses(self, network: GoalCloningNetwork) -> GoalCloningLosses:
+    def validation_losses(self, network: GoalCloningNetwork) -> Losses:
         """Returns the mean losses on validation trajectories, on the same windows and pairs each time."""
         rng = np.random.default_rng(self.config.seed)
-        parts = [vars(self._losses(network, batch, rng)).values() for batch in self._validation_batches(rng)]
-        return GoalCloningLosses(*(torch.stack(terms).mean() for terms in zip(*parts, strict=True)))
+        parts = [self._losses(network, batch, rng) for batch in self._validation_batches(rng)]
+        return {name: torch.stack([part[name] for part in parts]).mean() for name in parts[0]}
 
     def warnings(self, network: GoalCloningNetwork) -> list[str]:
         """Returns a warning where places do not tell continuous actions of validation trajectories."""
@@ -199,7 +175,7 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
         steps = self.config.max_goal_steps
         return sample_windows(trajectories, alike, items, rng, max_goal_steps=steps, device=self.device)
 
-    def _losses(self, network: GoalCloningNetwork, batch: GoalWindows, rng: np.random.Generator) -> GoalCloningLosses:
+    def _losses(self, network: GoalCloningNetwork, batch: GoalWindows, rng: np.random.Generator) -> Losses:
         """Returns the losses on pairs sampled from some windows."""
         features = network.encoder(batch.frames)  # (N, D)
         pairs = sample_goal_pairs(batch, rng, max_goal_steps=self.config.max_goal_steps)
@@ -208,11 +184,11 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
         executed = action_bins.encode(batch.actions[at], choices=self.spec.action.choices)  # (P, A, categories)
         changes = self._change_pairs(network, batch, features, rng)
         unchanged = network.recognizer.unchanged_logit(features[changes.first], features[changes.second])
-        return GoalCloningLosses(
-            action=objectives.action_cross_entropy(logits, executed).mean(),
-            odometry=self._odometry_loss(network, features, batch, pairs),
-            change=self._change_loss(unchanged, changes),
-        )
+        return {
+            "action_loss": objectives.action_cross_entropy(logits, executed).mean(),
+            "odometry_loss": self._odometry_loss(network, features, batch, pairs),
+            "change_loss": self._change_loss(unchanged, changes),
+        }
 
     def _odometry_loss(
         self, network: GoalCloningNetwork, features: Tensor, batch: GoalWindows, pairs: GoalPairs
@@ -264,6 +240,11 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
             executed = torch.tensor(self.validation.actions[item], device=self.device)
             residuals.append(network.recognizer.places(each).diff(dim=0) - executed[:-1])
         return _SPREAD_SHARE * _NORMAL_MAD * torch.cat(residuals).abs().median(dim=0).values
+
+
+def _total(losses: Losses) -> Tensor:
+    """Returns the sum that is minimised, float ()."""
+    return losses["action_loss"] + _ODOMETRY_WEIGHT * losses["odometry_loss"] + _CHANGE_WEIGHT * losses["change_loss"]
 
 
 def _windows(trajectories: Trajectories, config: GoalCloningConfig) -> Places:

@@ -75,15 +75,6 @@ class GoalImagesConfig(DatasetFitConfig):
 
 
 @dataclass(frozen=True, eq=False)
-class GoalImagesLosses:
-    """Loss terms, each float (): of actions (eq. 3.2), of what else trains the policy, and of the goal recognizer."""
-
-    action: Tensor
-    auxiliary: Tensor
-    recognizer: Tensor
-
-
-@dataclass(frozen=True, eq=False)
 class GoalImagesLearner(Learner[N]):
     """Base of the learners of networks for goal images; an item is a window of a trajectory."""
 
@@ -115,31 +106,27 @@ class GoalImagesLearner(Learner[N]):
         """Returns the state before the first update."""
         network = self.network()
         weights.initialise(network, generator=generator)
-        sampled = self.training.sample_frames(_NORMALISATION_FRAMES)
-        frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
+        frames = self.training.sample_frames(_NORMALISATION_FRAMES)
         network.fit_normalisation(frames, generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
     def loss(self, state: TrainState[N], items: Items) -> Losses:
         """Returns the losses of some windows."""
-        losses = self._losses(state.network, self.training, self._windows[items].tolist(), state.rng())
-        total = losses.action + losses.auxiliary + losses.recognizer
-        return {"train_loss": total, "action_loss": losses.action, "recognizer_loss": losses.recognizer}
+        return self._losses(state.network, self.training, self._windows[items].tolist(), state.rng())
 
     def evaluate(self, state: TrainState[N]) -> float:
         """Returns the action loss (eq. 3.2) plus the recognizer's on validation trajectories."""
         losses = self.validation_losses(state.network)
-        return (losses.action + losses.recognizer).item()
+        return (losses["action_loss"] + losses["recognizer_loss"]).item()
 
     @torch.no_grad()
-    def validation_losses(self, network: N) -> GoalImagesLosses:
+    def validation_losses(self, network: N) -> Losses:
         """Returns the mean losses on validation trajectories, on the same slices and pairs each time."""
         rng, items = np.random.default_rng(self.config.seed), _windows(self.validation, self.config)
         items = items[:: math.ceil(len(items) / _EVALUATION_WINDOWS)]
         batches = np.array_split(items, math.ceil(len(items) / self.config.batch_size))
         parts = [self._losses(network, self.validation, batch.tolist(), rng) for batch in batches]
-        means = (torch.stack(terms).mean() for terms in zip(*(vars(part).values() for part in parts), strict=True))
-        return GoalImagesLosses(*means)
+        return {name: torch.stack([part[name] for part in parts]).mean() for name in parts[0]}
 
     @torch.no_grad()
     def calibrate(self, network: N) -> None:
@@ -160,9 +147,7 @@ class GoalImagesLearner(Learner[N]):
         steps = (self.config.min_goal_steps, self.config.max_goal_steps)
         return sample_slices(trajectories, items, rng, steps=steps, device=self.device)
 
-    def _losses(
-        self, network: N, trajectories: Trajectories, items: Sequence[int], rng: np.random.Generator
-    ) -> GoalImagesLosses:
+    def _losses(self, network: N, trajectories: Trajectories, items: Sequence[int], rng: np.random.Generator) -> Losses:
         """Returns the losses on slices and frames sampled from some trajectories."""
         config = self.config
         slices = self._slices(trajectories, items, rng)
@@ -171,7 +156,8 @@ class GoalImagesLearner(Learner[N]):
         embeddings = network.recognizer(batch.frames)  # (N, embedding_size)
         logits = proximity_logit(embeddings[:, None], embeddings)  # (N, N)
         pairs = batch.pairs(close_steps=config.close_steps, far_steps=config.far_steps)
-        return GoalImagesLosses(action, auxiliary, objectives.recognizer_loss(logits, *pairs))
+        recognizer = objectives.recognizer_loss(logits, *pairs)
+        return {"train_loss": action + auxiliary + recognizer, "action_loss": action, "recognizer_loss": recognizer}
 
 
 @torch.no_grad()
@@ -184,11 +170,9 @@ def reached_threshold(recognizer: GoalRecognizer, trajectories: Trajectories) ->
         recognizer: Trained.
         trajectories: Validation trajectories, at least one of 2 timesteps.
     """
-    device = next(recognizer.parameters()).device
     logits = []
     for item in range(len(trajectories)):
-        first = {camera: each[item][:_THRESHOLD_FRAMES] for camera, each in trajectories.frames.items()}
-        embeddings = recognizer({camera: torch.tensor(each, device=device) for camera, each in first.items()})
+        embeddings = encode_trajectory(recognizer, trajectories, item)[:_THRESHOLD_FRAMES]
         logits.append(proximity_logit(embeddings[1:], embeddings[:-1]).cpu().numpy())  # (T - 1,)
     return float(np.median(1 / (1 + np.exp(-np.concatenate(logits)))))
 

@@ -61,34 +61,13 @@ class LanguageConfig(DatasetFitConfig):
     word_blind: bool = False
 
 
-def network_spec(
-    config: LanguageConfig,
-    *,
-    cameras: tuple[Camera, ...],
-    action: ActionSpec,
-    **texts: int,
-) -> LanguageSpec:
-    """Returns the spec of the network for some cameras, actions and sizes of `texts`.
-
-    Raises:
-        InvalidInput: Frames or actions are out of bounds.
-    """
-    return spec_of(config, LanguageSpec, cameras=cameras, action=action, **texts)
-
-
 @dataclass(frozen=True, eq=False)
 class LanguageLearner(Learner[LanguageNetwork]):
     """Learner of a language policy; an item is a timestep.
 
     Attributes:
-        config: Configuration.
-        spec: Spec of the network.
-        training: Training trajectories.
-        validation: Validation trajectories.
         text_encoder: File of the text encoder.
         reader: Reads goal texts.
-        fingerprint: Fingerprint of the dataset and the text encoder.
-        device: Device to train on.
     """
 
     config: LanguageConfig
@@ -114,17 +93,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
     ) -> "LanguageLearner":
         """Returns the learner for trajectories with goal texts; fits a reader and reads every distinct text once.
 
-        Args:
-            config: Configuration.
-            trajectories: Frames, executed actions and goal texts of single-task policies.
-            text_encoder: File of the frozen text encoder.
-            cameras: Cameras of the frames.
-            action: The action space.
-            fingerprint: Fingerprint of the dataset.
-            device: Device to train on.
-
-        Raises:
-            InvalidInput: No goal text has two trajectories.
+        Raises InvalidInput where no goal text has two trajectories.
         """
         encoder, distinct = TextEncoder(text_encoder), sorted(set(trajectories.goal_texts))
         reader = fit_goal_text_reader(encoder, seed=config.seed)
@@ -134,7 +103,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
         training, validation = split_by_text(dataset, fraction=config.validation_fraction, seed=config.seed)
         known = training.distinct_codes()
         texts = {"text_components": principal_components(known).shape[1], "known_texts": len(known)}
-        spec = network_spec(config, cameras=cameras, action=action, text_size=encoder.size, **texts)
+        spec = spec_of(config, LanguageSpec, cameras=cameras, action=action, text_size=encoder.size, **texts)
         fingerprint = f"{fingerprint} {hashlib.sha256(text_encoder).hexdigest()}"
         return cls(config, spec, training, validation, text_encoder, reader, fingerprint, device)
 
@@ -148,8 +117,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
         network = LanguageNetwork(self.spec)
         weights.initialise(network, generator=generator)
         network.reader.load_state_dict(self.reader.state_dict())
-        sampled = self.training.trajectories.sample_frames(_NORMALISATION_FRAMES)
-        frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
+        frames = self.training.trajectories.sample_frames(_NORMALISATION_FRAMES)
         network.fit_normalisation(frames, self.training.distinct_codes(), generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
@@ -171,8 +139,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
     def calibrate(self, network: LanguageNetwork) -> None:
         """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
         generator = torch.Generator().manual_seed(self.config.seed)
-        sampled = self.training.trajectories.sample_frames(KNOWN_FRAMES)
-        shifted = self._shifted({camera: torch.from_numpy(each) for camera, each in sampled.items()}, generator)
+        shifted = self._shifted(self.training.trajectories.sample_frames(KNOWN_FRAMES), generator)
         held_out = trajectory_statistics(self.validation.trajectories).to(self.device)
         network.in_distribution.fit(
             image_statistics(shifted).to(self.device),

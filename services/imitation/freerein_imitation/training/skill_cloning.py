@@ -50,31 +50,15 @@ skill that goes on for longer rests at its end, and one that is broken off is no
 
 
 @dataclass(frozen=True, eq=False)
-class SkillCloningLosses:
-    """Loss terms, each float ().
-
-    Attributes:
-        action: Of the chunks, over timesteps of segments.
-        termination: Of the termination head.
-    """
-
-    action: Tensor
-    termination: Tensor
-
-
-@dataclass(frozen=True, eq=False)
 class SkillCloningLearner(Learner[SkillCloningNetwork]):
     """The learner of skills from labelled demonstrations. Its items are timesteps of training segments.
 
     Attributes:
-        config: Configuration of the fit.
         spec: Spec of the network; its skills are those of the training segments.
         spans: Reads spans of the demonstrations.
         segments: Training segments.
         held_out: Segments of held-out trajectories.
         items: Trajectory and timestep of each item, int64 (N, 2).
-        fingerprint: Fingerprint of the dataset and its labels.
-        device: Device to train on.
     """
 
     config: SkillCloningConfig
@@ -100,14 +84,8 @@ class SkillCloningLearner(Learner[SkillCloningNetwork]):
     ) -> "SkillCloningLearner":
         """Returns the learner of labelled demonstrations.
 
-        Args:
-            config: Configuration of the fit.
-            spec: Spec of the network, with all skills that the labels may name.
-            demonstrations: Frames, executed actions, and tags where they have some.
-            labels: By trajectory, the predicted skill at each timestep, int64 (T,); -1 for none.
-            fingerprint: Fingerprint of the dataset and its labels.
-            device: Device to train on.
-            robot_states: As of `Spans`; empty where the spec has no state.
+        `spec` has all skills that the labels may name. Labels are the predicted skill at each timestep, int64 (T,) by
+        trajectory; -1 for none. `robot_states` are as of `Spans`; empty where the spec has no state.
 
         Raises:
             InvalidInput: Segments are of fewer than 2 trajectories, or validation and training share no skill.
@@ -159,7 +137,7 @@ class SkillCloningLearner(Learner[SkillCloningNetwork]):
         network = SkillCloningNetwork(self.spec)
         weights.initialise(network, generator=generator)
         shown, states = self._shown(), self.spans.robot_states
-        frames = {name: torch.from_numpy(each) for name, each in shown.sample_frames(_NORMALISATION_FRAMES).items()}
+        frames = shown.sample_frames(_NORMALISATION_FRAMES)
         executed = np.concatenate([shown.actions[item] for item in range(len(shown))])
         network.fit_normalisation(frames, torch.from_numpy(executed), generator=generator)
         if states:
@@ -172,16 +150,14 @@ class SkillCloningLearner(Learner[SkillCloningNetwork]):
         trajectories, steps = self.items[items].T
         starts = np.maximum(steps - rng.integers(self.config.span, size=len(items)), 0)
         batch = self._augmented(self.spans.read(trajectories, starts, self.config.span), rng)
-        losses = self._losses(state.network, batch)
-        total = self._total(losses)
-        return {"train_loss": total, "action_loss": losses.action, "termination_loss": losses.termination}
+        return self._losses(state.network, batch)
 
     def evaluate(self, state: State) -> float:
         """Returns the loss on spans of held-out segments."""
-        return self._total(self.validation_losses(state.network)).item()
+        return self.validation_losses(state.network)["train_loss"].item()
 
     @torch.no_grad()
-    def validation_losses(self, network: SkillCloningNetwork) -> SkillCloningLosses:
+    def validation_losses(self, network: SkillCloningNetwork) -> Losses:
         """Returns the losses on spans of held-out segments."""
         span = self.config.span
         places = [(each.trajectory, at) for each in self.held_out for at in range(each.start, each.stop, span)]
@@ -251,7 +227,7 @@ class SkillCloningLearner(Learner[SkillCloningNetwork]):
             found.append(logits.sigmoid())
         return found
 
-    def _losses(self, network: SkillCloningNetwork, batch: SpanBatch) -> SkillCloningLosses:
+    def _losses(self, network: SkillCloningNetwork, batch: SpanBatch) -> Losses:
         skill, ended = batch.skill.ravel(), batch.ended.ravel()  # (B * L,)
         inside, after = np.flatnonzero(skill != NONE), np.flatnonzero(ended != NONE)
         steps = np.concatenate([inside, after])
@@ -264,9 +240,10 @@ class SkillCloningLearner(Learner[SkillCloningNetwork]):
             error = functional.smooth_l1_loss(predicted, target, reduction="none").mean(dim=-1)  # (N, K)
         has_ended = np.concatenate([batch.terminates.ravel()[inside], np.ones(len(after), bool)])
         terminates = self._tensor(has_ended)
-        return SkillCloningLosses(
-            objectives.masked_mean(error, is_own), objectives.termination_loss(logits, terminates, ~terminates)
-        )
+        action = objectives.masked_mean(error, is_own)
+        termination = objectives.termination_loss(logits, terminates, ~terminates)
+        total = action + self.config.termination_weight * termination
+        return {"train_loss": total, "action_loss": action, "termination_loss": termination}
 
     def _predict(
         self, network: SkillCloningNetwork, batch: SpanBatch, steps: Ints, skill: Ints
@@ -321,9 +298,6 @@ class SkillCloningLearner(Learner[SkillCloningNetwork]):
         executed = np.where(untold, self.spans.no_action, batch.executed)
         is_known = batch.is_known & (rng.random((spans, 1, 1)) >= _NO_MEMORY)
         return replace(batch, frames=frames, executed=executed, is_known=is_known)
-
-    def _total(self, losses: SkillCloningLosses) -> Tensor:
-        return losses.action + self.config.termination_weight * losses.termination
 
     def _shown(self) -> Trajectories:
         """Returns the trajectories of the training segments."""

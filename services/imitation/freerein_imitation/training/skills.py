@@ -10,6 +10,7 @@ A fit has three parts, each of which learns from what the one before has found:
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,11 +22,9 @@ from freerein.learning import weights
 from freerein.learning.config import bounded
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.image_statistics import image_statistics
-from freerein.learning.inputs import spec_of
-from freerein.learning.learner import Items, Learner, Stage
+from freerein.learning.learner import Items, Learner, Losses, Stage
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
-from freerein.types.common import ActionSpec, Camera
 from freerein_imitation import objectives
 from freerein_imitation.model.policy import confidence
 from freerein_imitation.model.skills import SkillsNetwork, SkillsSpec
@@ -90,56 +89,15 @@ class SkillsConfig(DatasetFitConfig):
     log_every: int = bounded(50, least=1, most=1_000_000)
 
 
-def network_spec(
-    config: SkillsConfig, *, cameras: tuple[Camera, ...], action: ActionSpec, skills: tuple[str, ...]
-) -> SkillsSpec:
-    """Returns the spec of the network for some cameras, actions and skills.
-
-    Raises:
-        InvalidInput: Frames, actions or skills are out of bounds.
-    """
-    return spec_of(config, SkillsSpec, cameras=cameras, action=action, skills=skills)
-
-
-@dataclass(frozen=True, eq=False)
-class SkillsLosses:
-    """Loss terms, each float ().
-
-    Attributes:
-        action: Of the displacement to the next waypoint, over timesteps of segments.
-        termination: Of the termination head.
-    """
-
-    action: Tensor
-    termination: Tensor
-
-
-@dataclass(eq=False)
-class _Found:
-    """What finished parts of a fit have found in the training frames; computed again after a resume.
-
-    Attributes:
-        hands: By trajectory, places of the hand, float32 (T, 2).
-        targets: By training timestep, places of the object, float32 (N, 2).
-    """
-
-    hands: list[Tensor] | None = None
-    targets: Tensor | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class SkillsLearner(Learner[SkillsNetwork]):
     """The learner of skills from labelled demonstrations. Its items are training timesteps.
 
     Attributes:
-        config: Configuration of the fit.
         spec: Spec of the network; its skills are those of the training segments.
-        demonstrations: The demonstrations.
         segments: Training segments.
         training: Their timesteps.
         validation: Timesteps of held-out trajectories' segments.
-        fingerprint: Fingerprint of the dataset and its labels.
-        device: Device to train on.
     """
 
     config: SkillsConfig
@@ -150,7 +108,8 @@ class SkillsLearner(Learner[SkillsNetwork]):
     validation: SkillSteps
     fingerprint: str
     device: torch.device
-    _found: _Found = field(default_factory=_Found)
+    _found: dict[str, Any] = field(default_factory=dict)
+    """What the hand's and the maps' stages have found in the training frames; computed again after a resume."""
 
     @classmethod
     def prepare(
@@ -165,13 +124,8 @@ class SkillsLearner(Learner[SkillsNetwork]):
     ) -> "SkillsLearner":
         """Returns the learner of labelled demonstrations.
 
-        Args:
-            config: Configuration of the fit.
-            spec: Spec of the network, with all skills that the labels may name.
-            demonstrations: Frames, executed actions, and tags where they have some.
-            labels: By trajectory, the predicted skill at each timestep, int64 (T,).
-            fingerprint: Fingerprint of the dataset and its labels.
-            device: Device to train on.
+        `spec` has all skills that the labels may name. Labels are the predicted skill at each timestep, int64 (T,) by
+        trajectory; -1 for none.
 
         Raises:
             InvalidInput: Segments are of fewer than 2 trajectories, or validation and training share no skill.
@@ -216,7 +170,7 @@ class SkillsLearner(Learner[SkillsNetwork]):
         network = SkillsNetwork(self.spec)
         weights.initialise(network, generator=generator)
         shown = self.demonstrations.subset(self._shown)
-        frames = {name: torch.from_numpy(each) for name, each in shown.sample_frames(_NORMALISATION_FRAMES).items()}
+        frames = shown.sample_frames(_NORMALISATION_FRAMES)
         executed = np.concatenate([shown.actions[item] for item in range(len(shown))])
         network.fit_normalisation(frames, torch.from_numpy(np.asarray(executed, np.float32)))
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
@@ -237,11 +191,10 @@ class SkillsLearner(Learner[SkillsNetwork]):
 
     def evaluate(self, state: State) -> float:
         """Returns the loss of the policy on validation timesteps."""
-        losses = self.validation_losses(state.network)
-        return (losses.action + self.config.termination_weight * losses.termination).item()
+        return self.validation_losses(state.network)["train_loss"].item()
 
     @torch.no_grad()
-    def validation_losses(self, network: SkillsNetwork) -> SkillsLosses:
+    def validation_losses(self, network: SkillsNetwork) -> Losses:
         """Returns the losses on validation timesteps, with places as the network finds them."""
         parts = [self._predict(network, each) for each in self._validation_parts()]
         displacement, termination = (torch.cat(each) for each in zip(*parts, strict=True))
@@ -309,15 +262,17 @@ class SkillsLearner(Learner[SkillsNetwork]):
         previous = self._tensor(steps.previous * (rng.random((len(items), 1)) >= _NO_PREVIOUS).astype(np.float32))
         pixels = self._pixels(network, steps.trajectory, steps.timestep)
         displacement, termination = network(pixels, hand, target, place, previous)
-        losses = self._losses(displacement, termination, steps)
-        return losses.action + self.config.termination_weight * losses.termination
+        return self._losses(displacement, termination, steps)["train_loss"]
 
-    def _losses(self, displacement: Tensor, termination: Tensor, steps: SkillSteps) -> SkillsLosses:
+    def _losses(self, displacement: Tensor, termination: Tensor, steps: SkillSteps) -> Losses:
         inside, terminates = self._tensor(steps.is_inside), self._tensor(steps.terminates)
         error = objectives.relative_error(displacement, self._tensor(steps.displacement))  # (N,)
-        return SkillsLosses(
-            objectives.masked_mean(error, inside), objectives.termination_loss(termination, terminates, ~terminates)
+        action, ended = (
+            objectives.masked_mean(error, inside),
+            objectives.termination_loss(termination, terminates, ~terminates),
         )
+        total = action + self.config.termination_weight * ended
+        return {"train_loss": total, "action_loss": action, "termination_loss": ended}
 
     def _predict(self, network: SkillsNetwork, steps: SkillSteps) -> tuple[Tensor, Tensor]:
         """Returns displacements and termination logits; only where the object will be put is told, by what was done."""
@@ -330,30 +285,35 @@ class SkillsLearner(Learner[SkillsNetwork]):
         return displacement, termination
 
     def _validation_parts(self) -> list[SkillSteps]:
-        starts = range(0, len(self.validation), _FRAMES_AT_ONCE)
-        return [self.validation[start : start + _FRAMES_AT_ONCE] for start in starts]
+        return [self.validation[part] for part in _parts(len(self.validation))]
 
     @torch.no_grad()
     def _hands(self, network: SkillsNetwork) -> list[Tensor]:
         """Returns places of the hand in all training frames, by trajectory: float32 (T, 2)."""
-        if self._found.hands is None:
-            self._found.hands = [
-                torch.cat([network.hand(self._pixels(network, np.full(len(at), item), at)) for at in _parts(length)])
+
+        def found(item: int, at: Ints) -> Tensor:
+            return network.hand(self._pixels(network, np.full(len(at), item), at))
+
+        if "hands" not in self._found:
+            self._found["hands"] = [
+                torch.cat([found(item, np.arange(length)[part]) for part in _parts(length)])
                 for item, length in enumerate(self.demonstrations.lengths().tolist())
             ]
-        return self._found.hands
+        hands: list[Tensor] = self._found["hands"]
+        return hands
 
     @torch.no_grad()
     def _targets(self, network: SkillsNetwork) -> Tensor:
         """Returns places of the object at all training timesteps, float32 (N, 2)."""
-        if self._found.targets is None:
-            found = []
-            for start in range(0, len(self.training), _FRAMES_AT_ONCE):
-                steps = self.training[start : start + _FRAMES_AT_ONCE]
-                pixels = self._pixels(network, steps.trajectory, steps.timestep)
-                found.append(network.maps.cells.mode(network.maps(pixels, self._skills(steps))[0]))
-            self._found.targets = torch.cat(found)
-        return self._found.targets
+
+        def found(steps: SkillSteps) -> Tensor:
+            pixels = self._pixels(network, steps.trajectory, steps.timestep)
+            return network.maps.cells.mode(network.maps(pixels, self._skills(steps))[0])
+
+        if "targets" not in self._found:
+            self._found["targets"] = torch.cat([found(self.training[part]) for part in _parts(len(self.training))])
+        targets: Tensor = self._found["targets"]
+        return targets
 
     def _at(self, hands: Sequence[Tensor], trajectory: Ints, timestep: Ints) -> Tensor:
         return torch.stack([hands[item][at] for item, at in zip(trajectory.tolist(), timestep.tolist(), strict=True)])
@@ -384,9 +344,6 @@ class SkillsLearner(Learner[SkillsNetwork]):
         return torch.from_numpy(array).to(self.device)
 
 
-def _parts(length: int) -> list[Ints]:
-    """Returns the timesteps of a trajectory, in parts that are encoded at once."""
-    return [
-        np.arange(start, min(start + _FRAMES_AT_ONCE, length), dtype=np.int64)
-        for start in range(0, length, _FRAMES_AT_ONCE)
-    ]
+def _parts(count: int) -> list[slice]:
+    """Returns slices of timesteps whose frames are encoded at once."""
+    return [slice(start, start + _FRAMES_AT_ONCE) for start in range(0, count, _FRAMES_AT_ONCE)]

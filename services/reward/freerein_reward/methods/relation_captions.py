@@ -28,7 +28,7 @@ from freerein_reward.training import (
 _MAX_PHRASES = 16  # captions grow with the square, and the memory of their embeddings with the fourth power
 
 
-def _resolve(_source: FitDataset, config: RewardConfig, *, grounding: Path) -> RewardConfig:
+def _check(_source: FitDataset, config: RewardConfig, *, grounding: Path) -> None:
     distinct = {bare_words(words(phrase)) for phrase in config.phrases} - {()}
     if not 2 <= len(config.phrases) == len(distinct) <= _MAX_PHRASES or any(map(rival_captions, config.phrases)):
         raise InvalidInput(
@@ -39,7 +39,6 @@ def _resolve(_source: FitDataset, config: RewardConfig, *, grounding: Path) -> R
             'for example: --set \'phrases=["a red block", "a yellow block"]\'.',
         )
     _check_known(config.phrases, load_grounding(grounding, "cpu"))
-    return config
 
 
 def _check_known(phrases: Sequence[str], model: GradCamModel) -> None:
@@ -94,7 +93,7 @@ def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[Dua
 
 RELATION_CAPTIONS = Method(
     RewardConfig,
-    _resolve,
+    _check,
     _prepare,
     _card,
     load_reward_model,

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +12,10 @@ from freerein.relations import SpatialRelation
 from freerein_reward.model import DualEncoder, contrast_texts
 from freerein_reward.training import synthetic_objects
 from freerein_reward.training.caption_dataset import ABSENT, NO_CAPTION, CaptionDataset, flatten_pairs
-from freerein_reward.training.grounding_learner import GroundingLearner
 from freerein_reward.training.reward_model_learner import caption_scores
+
+if TYPE_CHECKING:
+    from freerein_reward.training.grounding_learner import GroundingLearner
 
 _COLOURS_PER_QUERY = 4
 _QUERIES = 10
@@ -51,7 +54,7 @@ def pair_majority_accuracy(relations: npt.NDArray[np.int64]) -> float:
     return float(counts.max(axis=1).sum() / counts.sum())
 
 
-def calibrate_presence(network: DualEncoder, learner: GroundingLearner) -> None:
+def calibrate_presence(network: DualEncoder, learner: "GroundingLearner") -> None:
     """Sets `presence_heat` to the threshold with the best balanced accuracy on validation images.
 
     Each image is queried for a few colours at a time, as in a request.
@@ -62,7 +65,7 @@ def calibrate_presence(network: DualEncoder, learner: GroundingLearner) -> None:
     network.spec = replace(network.spec, presence_heat=float(max(thresholds[int(np.argmax(scores))], 1e-6)))
 
 
-def evaluate_grounding(network: DualEncoder, learner: GroundingLearner) -> dict[str, float]:
+def evaluate_grounding(network: DualEncoder, learner: "GroundingLearner") -> dict[str, float]:
     """Returns accuracies on validation images: of colours, of shapes, and balanced of presence."""
     peaks, is_shown = _peaks(network, learner)
     predictions = peaks > network.spec.presence_heat
@@ -74,7 +77,7 @@ def evaluate_grounding(network: DualEncoder, learner: GroundingLearner) -> dict[
 
 
 @torch.no_grad()
-def _peaks(network: DualEncoder, learner: GroundingLearner) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+def _peaks(network: DualEncoder, learner: "GroundingLearner") -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
     """Returns the peak of each query's heat and whether its colour is shown, each (queries * N * colours,)."""
     rng = np.random.default_rng(learner.config.seed)
     images = learner.validation.images[:, 0]
@@ -92,7 +95,7 @@ def _peaks(network: DualEncoder, learner: GroundingLearner) -> tuple[npt.NDArray
 
 
 @torch.no_grad()
-def _accuracy(network: DualEncoder, learner: GroundingLearner, names: Sequence[str], attribute: str) -> float:
+def _accuracy(network: DualEncoder, learner: "GroundingLearner", names: Sequence[str], attribute: str) -> float:
     """Returns the zero-shot accuracy of an attribute on validation images that show an object."""
     texts = _embed(network, [f"a {name} thing" if attribute == "colour" else f"a {name}" for name in names])
     predictions = (network.embed_images(learner.validation.images) @ texts.T).argmax(dim=1).tolist()

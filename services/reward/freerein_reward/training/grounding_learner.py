@@ -16,6 +16,8 @@ from freerein_reward.model import DualEncoder, DualEncoderSpec, channels_last
 from freerein_reward.objectives import contrastive_loss
 from freerein_reward.training import synthetic_objects
 from freerein_reward.training.config import GroundingConfig
+from freerein_reward.training.evaluation import calibrate_presence
+from freerein_reward.training.known_phrases import calibrate_known_phrases
 
 State = TrainState[DualEncoder]
 
@@ -81,6 +83,11 @@ class GroundingLearner(Learner[DualEncoder]):
     def evaluate(self, state: State) -> float:
         """Returns the loss on the validation images."""
         return _loss(state.network.eval(), self.validation).item()
+
+    def calibrate(self, network: DualEncoder) -> None:
+        """Fits the heat from which a phrase counts as shown, and the score of phrases."""
+        calibrate_presence(network, self)
+        calibrate_known_phrases(network, self)
 
     def _batch(self, items: Sequence[int], rng: np.random.Generator) -> ObjectBatch:
         """Returns images that are rendered from their index, with random captions."""

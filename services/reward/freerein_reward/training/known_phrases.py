@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -10,7 +11,9 @@ from torch import Tensor
 from freerein.metrics import auroc
 from freerein_reward.model import KNOWN, NONSENSE, REFERENCES, DualEncoder, GradCamModel, KnownPhrases
 from freerein_reward.training import synthetic_objects
-from freerein_reward.training.grounding_learner import GroundingLearner
+
+if TYPE_CHECKING:
+    from freerein_reward.training.grounding_learner import GroundingLearner
 
 _IMAGES_AT_ONCE = 128
 _TEXTS_AT_ONCE = 20
@@ -22,7 +25,7 @@ _SIZES = ("", "small ", "big ")
 
 
 @torch.no_grad()
-def calibrate_known_phrases(network: DualEncoder, learner: GroundingLearner) -> None:
+def calibrate_known_phrases(network: DualEncoder, learner: "GroundingLearner") -> None:
     """Fits the network's score of phrases, on images that neither training nor validation has seen."""
     config = learner.config
     first = config.train_images + config.validation_images
@@ -36,7 +39,7 @@ def calibrate_known_phrases(network: DualEncoder, learner: GroundingLearner) -> 
     score_of(network).fit(embeddings, shown.to(network.device), nonsense_texts(network, generator=generator))
 
 
-def evaluate_known_phrases(network: DualEncoder, learner: GroundingLearner) -> dict[str, float]:
+def evaluate_known_phrases(network: DualEncoder, learner: "GroundingLearner") -> dict[str, float]:
     """Returns how well the score tells noun phrases that name a colour from words without meaning.
 
     No phrase was used in the calibration, and the words without meaning are others. `known_auroc` is that of the score

@@ -74,7 +74,7 @@ def held_out_action_loss(
     generator = torch.Generator().manual_seed(seed)
     policy = _Policy(spec)
     weights.initialise(policy, generator=generator)
-    seen = {name: torch.from_numpy(each) for name, each in training.sample_frames(_NORMALISATION_FRAMES).items()}
+    seen = training.sample_frames(_NORMALISATION_FRAMES)
     policy.image.fit_normalisation(seen, generator=generator)
     policy.to(device)
     data, held_out = _Timesteps(training, training_labels, spec), _Timesteps(validation, validation_labels, spec)

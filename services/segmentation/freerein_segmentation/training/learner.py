@@ -9,16 +9,13 @@ from torch import Tensor
 
 from freerein import metrics
 from freerein.learning import weights
-from freerein.learning.action_scaling import ActionScaling
 from freerein.learning.augmentation import agreement, augment_camera, delayed
 from freerein.learning.fit import FitResult
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
-from freerein.learning.inputs import spec_of
 from freerein.learning.learner import Items, Learner, Losses, stage_at, unchanged
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
-from freerein.types.common import ActionSpec, Camera
 from freerein_segmentation.model import Context, ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES, Objective
 from freerein_segmentation.training.algorithms import ALGORITHMS
@@ -33,22 +30,6 @@ _NORMALISATION_FRAMES = 2000
 
 BatchLoss: TypeAlias = Callable[[State, TrajectoryBatch, Tensor, Tensor], Tensor]
 """Given a state, a batch, scores f_t(k), float (B, T, K), and their mask, bool (B, T), returns losses, float (B,)."""
-
-
-def network_spec(
-    config: SegmentationConfig,
-    *,
-    cameras: tuple[Camera, ...],
-    action: ActionSpec,
-    skills: tuple[str, ...],
-    action_scaling: ActionScaling | None = None,
-) -> ModelSpec:
-    """Returns the architecture for some cameras, and skills in the order of their labels.
-
-    Raises:
-        InvalidInput: Frames, actions or skills are out of bounds.
-    """
-    return spec_of(config, ModelSpec, cameras=cameras, action=action, skills=skills, action_scaling=action_scaling)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +52,7 @@ class SegmentationLearner(Learner[SegmentationNetwork]):
         """Returns the initial state; the encoder is normalised by the training frames."""
         network = SegmentationNetwork(self.spec)
         weights.initialise(network, generator=generator)
-        sampled = self.training.sample_frames(_NORMALISATION_FRAMES)
-        frames = {camera: torch.from_numpy(each) for camera, each in sampled.items()}
+        frames = self.training.sample_frames(_NORMALISATION_FRAMES)
         network.image.fit_normalisation(frames, generator=generator)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
@@ -140,9 +120,7 @@ class SegmentationLearner(Learner[SegmentationNetwork]):
         sampled = self.training.sample_frames(KNOWN_FRAMES)
         takes, strength = torch.arange(len(next(iter(sampled.values())))), self.config.augmentation
         frames = {
-            camera: augment_camera(torch.from_numpy(each), takes, strength=strength, generator=generator).to(
-                self.device
-            )
+            camera: augment_camera(each, takes, strength=strength, generator=generator).to(self.device)
             for camera, each in sampled.items()
         }
         held_out, confidence = [], []

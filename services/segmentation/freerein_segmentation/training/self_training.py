@@ -9,7 +9,7 @@ on the teacher's features, adds its log posterior. A teacher is plain tensors, a
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -67,17 +67,17 @@ def _begin_round(
     """Returns a state that carries its network as the teacher, with an action model of the teacher's labels."""
     if CONFIDENCE not in state.carried:
         state = learner.carry_confidence(state, context=context)
-    tensors = {f"network.{name}": tensor.detach().clone() for name, tensor in state.network.state_dict().items()}
+    tensors = {f"network.{name}": tensor.clone() for name, tensor in state.network.state_dict().items()}
     if context != learner.spec.context:
         tensors[_LOG_SHARE] = _log_share(learner)
-    teacher = Teacher.load(tensors, learner.spec, learner.config, context=context, device=learner.device)
+    teacher = Teacher.load(tensors, learner.spec, learner.config, context=context)
     items = torch.randperm(learner.size, generator=state.generator)[:_ACTION_TRAJECTORIES].tolist()
     if learner.config.action_evidence:
         size = learner.config.batch_size
         batches = (learner.batch(items[at : at + size], state.generator) for at in range(0, len(items), size))
         labelled = _labelled(teacher, batches)
-        teacher = replace(teacher, actions=fit_action_model(*labelled, spec=learner.spec, generator=state.generator))
-    return replace(state, carried={**teacher.tensors, CONFIDENCE: state.carried[CONFIDENCE]})
+        teacher.actions = fit_action_model(*labelled, spec=learner.spec, generator=state.generator)
+    return replace(state, carried={**teacher.state_dict(), CONFIDENCE: state.carried[CONFIDENCE]})
 
 
 def _label_loss(
@@ -89,7 +89,8 @@ def _label_loss(
     _mask: Tensor,
 ) -> Tensor:
     """Returns the cross-entropy of the teacher's labels, float (B,)."""
-    teacher = Teacher.load(state.carried, learner.spec, learner.config, context=context, device=learner.device)
+    kept = {name: tensor.to(learner.device) for name, tensor in state.carried.items() if name != CONFIDENCE}
+    teacher = Teacher.load(kept, learner.spec, learner.config, context=context)
     return label_cross_entropy(scores, teacher.label(batch))
 
 
@@ -105,59 +106,49 @@ def _log_share(learner: "SegmentationLearner") -> Tensor:
     return torch.tensor(shares, device=learner.device).log()
 
 
-@dataclass(frozen=True, eq=False)
-class Teacher:
+class Teacher(nn.Module):
     """A frozen network that labels trajectories.
 
-    Attributes:
+    Args:
         network: The network.
-        actions: The action model; None for a teacher that does not look at actions' evidence.
         config: Has the cost of a switch, and the weight of the action model's log posterior.
         context: Future timesteps that the network sees.
-        log_share: Logarithm of each skill's share of trajectories, float (K,), which is taken off its scores, or None.
+        actions: The action model; None for a teacher that does not look at actions' evidence.
+        log_share: Logarithm of each skill's share of trajectories, float (K,), which is taken off its scores.
     """
 
-    network: SegmentationNetwork
-    actions: ActionModel | None
-    config: "SegmentationConfig"
-    context: Context
     log_share: Tensor | None
 
-    @classmethod
-    def load(
-        cls,
-        tensors: Mapping[str, Tensor],
-        spec: ModelSpec,
+    def __init__(
+        self,
+        network: SegmentationNetwork,
         config: "SegmentationConfig",
         *,
         context: Context,
-        device: torch.device,
-    ) -> "Teacher":
-        """Returns the teacher whose `tensors` are given, on a device."""
-        with torch.device("meta"):  # allocates no weights
-            network, actions = SegmentationNetwork(spec), _action_model(spec)
-        for part, name in ((network, "network."), (actions, "actions.")):
-            if found := tensors_under(name, tensors):
-                part.load_state_dict(found, assign=True)
-                part.to(device)
-        has_actions = any(key.startswith("actions.") for key in tensors)
-        log_share = tensors[_LOG_SHARE].to(device) if _LOG_SHARE in tensors else None
-        return cls(network.eval(), actions if has_actions else None, config, context, log_share)
+        actions: ActionModel | None = None,
+        log_share: Tensor | None = None,
+    ) -> None:
+        super().__init__()
+        self.network, self.actions, self._config, self._context = network, actions, config, context
+        self.register_buffer(_LOG_SHARE, log_share)
 
-    @property
-    def tensors(self) -> dict[str, Tensor]:
-        """All weights, by name."""
-        parts: dict[str, nn.Module] = {"network": self.network}
-        if self.actions is not None:
-            parts["actions"] = self.actions
-        tensors = {f"{part}.{name}": tensor for part in parts for name, tensor in parts[part].state_dict().items()}
-        return tensors if self.log_share is None else {**tensors, _LOG_SHARE: self.log_share}
+    @classmethod
+    def load(
+        cls, tensors: Mapping[str, Tensor], spec: ModelSpec, config: "SegmentationConfig", *, context: Context
+    ) -> "Teacher":
+        """Returns the teacher with some state, on its device."""
+        with torch.device("meta"):  # allocates no weights
+            network = SegmentationNetwork(spec)
+            actions = _action_model(spec) if tensors_under("actions.", tensors) else None
+        teacher = cls(network, config, context=context, actions=actions, log_share=tensors.get(_LOG_SHARE))
+        teacher.load_state_dict(tensors, assign=True)
+        return teacher.eval()
 
     @torch.no_grad()
     def label(self, batch: TrajectoryBatch) -> Tensor:
         """Returns labels, int64 (B, T), `NO_SKILL` in the padding."""
         features = self.network.features(batch.frames, batch.actions)  # (N, D)
-        scores, mask = self.network.score_batch(features, batch.lengths, context=self.context)
+        scores, mask = self.network.score_batch(features, batch.lengths, context=self._context)
         emissions = scores.log_softmax(dim=2)
         if self.log_share is not None:
             emissions = emissions - self.log_share
@@ -167,8 +158,8 @@ class Teacher:
             )  # (N, K)
             added = torch.zeros_like(emissions)
             added[mask] = action_posterior(log_likelihood)
-            emissions = emissions + self.config.action_evidence * added
-        return viterbi(emissions, mask, batch.tags, switching_cost=self.config.switching_cost)
+            emissions = emissions + self._config.action_evidence * added
+        return viterbi(emissions, mask, batch.tags, switching_cost=self._config.switching_cost)
 
 
 def action_posterior(log_likelihood: Tensor) -> Tensor:
