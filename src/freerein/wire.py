@@ -30,7 +30,7 @@ from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.api.reward.v1 import reward_pb2
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.api.sim.v1 import sim_pb2
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be
 from freerein.field_bounds import bounds_of, check_bounds, check_json_bytes
 
 T = TypeVar("T")
@@ -308,11 +308,8 @@ def _enum_reader(enum: EnumDescriptor) -> _Read:
     def read(value: Any, path: str) -> str:
         name = value if isinstance(value, str) else enum_name(enum, value)
         if name not in names:
-            raise InvalidInput(
-                f"`{path}` must be one of {', '.join(names)}; got another value.",
-                field=path,
-                hint="It has no default: send one of them.",
-            )
+            hint = "It has no default: send one of them."
+            raise must_be(path, f"one of {', '.join(names)}", "another value", hint=hint)
         return name
 
     return read
@@ -325,9 +322,7 @@ def _finite(value: Any, path: str) -> float:
 
 
 def _not_finite(path: str) -> InvalidInput:
-    return InvalidInput(
-        f"`{path}` must be a finite number; got NaN or an infinity.", field=path, hint="Send a finite number."
-    )
+    return must_be(path, "a finite number", "NaN or an infinity", hint="Send a finite number.")
 
 
 def _struct(value: Any, path: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import InvalidInput, ServiceError, by_code
+from freerein.errors import ServiceError, by_code, must_be
 
 Encoding = Literal["raw_rgb8", "raw_gray8", "png", "jpeg", "webp"]
 
@@ -24,23 +24,17 @@ _ID = re.compile(r"[0-9a-f]{32}")
 def check_name(name: str, *, field: str) -> str:
     """Returns a valid name of a dataset, model, task, camera or key; raises InvalidInput for any other."""
     if _NAME.fullmatch(name) is None:
-        raise InvalidInput(
-            f"`{field}` must be 1 to 64 of a-z, 0-9, dot, underscore and dash, beginning with a letter or digit; "
-            f"got {len(name)} characters that do not match.",
-            field=field,
-            hint="Choose a name like blocks-demos.v2.",
-        )
+        rule = "1 to 64 of a-z, 0-9, dot, underscore and dash, beginning with a letter or digit"
+        hint = "Choose a name like blocks-demos.v2."
+        raise must_be(field, rule, f"{len(name)} characters that do not match", hint=hint)
     return name
 
 
 def check_id(value: str, *, field: str) -> str:
     """Returns a valid id, 32 lower-case hexadecimal digits; raises InvalidInput for any other."""
     if _ID.fullmatch(value) is None:
-        raise InvalidInput(
-            f"`{field}` must be an id of 32 hexadecimal digits; got {len(value)} other characters.",
-            field=field,
-            hint="Use the id that the service returned.",
-        )
+        hint = "Use the id that the service returned."
+        raise must_be(field, "an id of 32 hexadecimal digits", f"{len(value)} other characters", hint=hint)
     return value
 
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, replace
 
-from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
+from freerein.errors import FailedPrecondition, ServiceError, must_be
 from freerein.serving.health import Health
 from freerein.types.common import Camera, Draining, error_message
 from freerein.types.imitation import Chunk, ControlResponse, GetSpecResponse, Hello
@@ -123,11 +123,9 @@ def _error(seq: int, error: ServiceError) -> ControlResponse:
 def _check_agreement(spec: GetSpecResponse, hello: Hello) -> None:
     """Checks that robot and model have the same cameras, actions and control rate."""
     if not 0.0 <= hello.valid_for_s <= MAX_VALID_FOR_S:
-        raise InvalidInput(
-            f"`valid_for_s` must be in [0, {MAX_VALID_FOR_S:g}] seconds; got {hello.valid_for_s:g}.",
-            field="hello.valid_for_s",
-            hint="Leave it 0 for two control steps beyond the chunk.",
-        )
+        rule = f"in [0, {MAX_VALID_FOR_S:g}] seconds"
+        hint = "Leave it 0 for two control steps beyond the chunk."
+        raise must_be("`valid_for_s`", rule, f"{hello.valid_for_s:g}", field="hello.valid_for_s", hint=hint)
     expected, got = spec.action, hello.action
     compared = (
         ("cameras", spec.cameras, _comparable(hello, spec.cameras)),

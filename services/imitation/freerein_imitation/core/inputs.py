@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein import images
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be
 from freerein.types.common import ACTION_TOLERANCE, MAX_TEXT, Camera, Goal, Image, Observation
 from freerein_imitation.core.policy_state import DIGEST_BYTES
 from freerein_imitation.core.resizing import Resizer
@@ -95,12 +95,9 @@ def parse_previous_action(spec: PolicySpec, executed: npt.NDArray[Any] | None) -
         return none
     executed = action.normalised(executed)
     if executed.dtype != action.dtype or executed.ndim != 2 or executed.shape[1] != action.size:
-        raise InvalidInput(
-            f"`executed_actions` must be {action.dtype} of shape (N, {action.size}); "
-            f"got {executed.dtype} {executed.shape}.",
-            field="executed_actions",
-            hint="GetSpec describes a model's actions.",
-        )
+        rule = f"{action.dtype} of shape (N, {action.size})"
+        hint = "GetSpec describes a model's actions."
+        raise must_be("executed_actions", rule, f"{executed.dtype} {executed.shape}", hint=hint)
     low, high = action.bounds
     if not ((executed >= low) & (executed <= high)).all():  # False for NaN
         raise InvalidInput(
@@ -123,11 +120,8 @@ def parse_robot_state(spec: PolicySpec, observation: Observation) -> npt.NDArray
         return None
     if state is None or state.dtype != np.float32 or state.shape != shape:
         got = "none" if state is None else f"{state.dtype} {state.shape}"
-        raise InvalidInput(
-            f"`{field}` must be the robot's own state, float32 of shape {shape}, as in training; got {got}.",
-            field=field,
-            hint="Send what the dataset of the fit holds as `observation.state`, or name a model that takes none.",
-        )
+        hint = "Send what the dataset of the fit holds as `observation.state`, or name a model that takes none."
+        raise must_be(field, f"the robot's own state, float32 of shape {shape}, as in training", got, hint=hint)
     if not np.isfinite(state).all():
         raise InvalidInput(
             f"`{field}` must be finite; some of its numbers are not.",
@@ -193,11 +187,7 @@ def _decode_views(
             several = len(spec.cameras) > 1
             expected = f"one of {_names(spec)}, each once" if several else f"{_names(spec)}, or empty"
             got = "another name" if camera is None else f"{camera.name} again"
-            raise InvalidInput(
-                f"`{field}.{i}.camera` must be {expected}; got {got}.",
-                field=f"{field}.{i}.camera",
-                hint=_CAMERAS_HINT,
-            )
+            raise must_be(f"{field}.{i}.camera", expected, got, hint=_CAMERAS_HINT)
         frames[camera.name] = _decode(camera, image, f"{field}.{i}", resizer)
     return {camera.name: frames[camera.name] for camera in spec.cameras}
 
@@ -251,11 +241,8 @@ def _refused_text(spec: PolicySpec, read: KnownText) -> InvalidInput:
 
 def _parse_skill(spec: PolicySpec, name: str, field: str) -> Subgoal:
     if name not in spec.skills:
-        raise InvalidInput(
-            f"`{field}` must be one of {', '.join(spec.skills)}; got another name.",
-            field=field,
-            hint="GetSpec names the skills of a model.",
-        )
+        hint = "GetSpec names the skills of a model."
+        raise must_be(field, f"one of {', '.join(spec.skills)}", "another name", hint=hint)
     return Subgoal(_digest(name.encode()), name)
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, must_be
 
 DIGEST_BYTES = 16
 _MAGIC = b"fri1"
@@ -86,8 +86,5 @@ def decode_state(data: bytes, *, version: str, goal_digest: bytes, goals: int, s
 
 
 def _malformed() -> InvalidInput:
-    return InvalidInput(
-        "`state` must be the `state` of the previous reply; got something else.",
-        field="state",
-        hint="Send the bytes unchanged, or nothing to start anew.",
-    )
+    hint = "Send the bytes unchanged, or nothing to start anew."
+    return must_be("state", "the `state` of the previous reply", "something else", hint=hint)

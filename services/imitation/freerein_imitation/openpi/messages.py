@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein import tensors
-from freerein.errors import InvalidInput, MalformedRequest
+from freerein.errors import InvalidInput, MalformedRequest, must_be
 from freerein.serving.limits import FEW_VALUES, MAX_INLINE_BYTES, MAX_INLINE_IMAGE_BYTES, MAX_VALUES
 
 _ARRAY, _SCALAR = b"__ndarray__", b"__npgeneric__"
@@ -140,11 +140,9 @@ def _unpack_scalar(parts: Mapping[bytes, Any]) -> bool | int | float:
 def _datatype(dtype: object) -> str:
     name = _DATATYPES.get(dtype) if isinstance(dtype, str) else None
     if name is None:
-        raise InvalidInput(
-            f"An array's dtype must be one of {', '.join(map(str, tensors.DTYPES.values()))}, little-endian; "
-            "got another.",
-            hint="Convert it with array.astype(...) first.",
-        )
+        rule = f"one of {', '.join(map(str, tensors.DTYPES.values()))}, little-endian"
+        hint = "Convert it with array.astype(...) first."
+        raise must_be("An array's dtype", rule, "another", field="", hint=hint)
     return name
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be
 from freerein.types.common import Camera, Encoding, Goal, Image, Observation
 from freerein.unknown_names import listed, nearest, quoted
 from freerein_imitation.model.policy import PolicySpec
@@ -161,11 +161,8 @@ def _images(value: object, camera: Camera, key: str, *, is_sequence: bool) -> tu
     if not isinstance(value, np.ndarray) or not is_frame or value.ndim > (4 if is_sequence else 3):
         got = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else "no array"
         is_sized = isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.shape[2:] == shape[2:]
-        raise InvalidInput(
-            f"`{key}` must be uint8 of shape {shape}, as in training; got {got}.",
-            field=key,
-            hint=_OTHER_SIZE if is_sized else "Send height, width and channels in this order, or name another model.",
-        )
+        hint = _OTHER_SIZE if is_sized else "Send height, width and channels in this order, or name another model."
+        raise must_be(key, f"uint8 of shape {shape}, as in training", got, hint=hint)
     encoding: Encoding = "raw_rgb8" if camera.channels == 3 else "raw_gray8"
     frames = value.reshape(-1, *shape)
     return tuple(Image(encoding, camera.height, camera.width, frame.tobytes(), camera.name) for frame in frames)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein import wire
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, must_be
 from freerein.types.common import Goal, ModelRef
 from freerein.types.imitation import Resize
 from freerein.unknown_names import described
@@ -198,11 +198,8 @@ def parse_query(items: Sequence[tuple[str, str]]) -> OpenpiQuery:
         )
     name, version, text, resize = (single.get(key, "") for key in _TEXTS)
     if resize not in ("", *get_args(Resize)):
-        raise InvalidInput(
-            f"`resize` must be {' or '.join(get_args(Resize))}; got another word.",
-            field="resize",
-            hint="Leave it out to have images of other sizes refused.",
-        )
+        hint = "Leave it out to have images of other sizes refused."
+        raise must_be("resize", " or ".join(get_args(Resize)), "another word", hint=hint)
     steps, horizon = (_number(key, single.get(key, "0")) for key in _NUMBERS)
     has_goal = recipe or "goal.text" in single
     goal = Goal(recipe=recipe, text=text) if has_goal else None
@@ -211,9 +208,6 @@ def parse_query(items: Sequence[tuple[str, str]]) -> OpenpiQuery:
 
 def _number(key: str, value: str) -> int:
     if not (value.isascii() and value.isdecimal() and len(value) <= 10 and int(value) <= MAX_STEPS):
-        raise InvalidInput(
-            f"`{key}` must be a whole number up to {MAX_STEPS}; got {len(value)} characters that are not.",
-            field=key,
-            hint="Leave it out for the model's own.",
-        )
+        hint = "Leave it out for the model's own."
+        raise must_be(key, f"a whole number up to {MAX_STEPS}", f"{len(value)} characters that are not", hint=hint)
     return int(value)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be
 from freerein.goal_text import Grammar
 from freerein.relations import SpatialRelation, caption
 from freerein.serving.batcher import BatchResult
@@ -154,8 +154,5 @@ def _check_describe(request: DescribeRequest) -> None:
     if not request.images:
         raise InvalidInput("`images` must hold at least one image; got none.", field="images", hint="Send one.")
     if request.epsilon is not None and not 0.0 < request.epsilon <= MAX_EPSILON:
-        raise InvalidInput(
-            f"`epsilon` must be in (0, {MAX_EPSILON:g}]; got {request.epsilon:g}.",
-            field="epsilon",
-            hint=f"Leave it out for {DEFAULT_EPSILON:g}.",
-        )
+        hint = f"Leave it out for {DEFAULT_EPSILON:g}."
+        raise must_be("epsilon", f"in (0, {MAX_EPSILON:g}]", f"{request.epsilon:g}", hint=hint)

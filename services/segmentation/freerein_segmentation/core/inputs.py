@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein import images
-from freerein.errors import InvalidInput, TooLarge
+from freerein.errors import InvalidInput, TooLarge, must_be
 from freerein.types.common import ActionSpec, Camera, Image
 from freerein.types.segmentation import SegmentRequest, Timesteps
 from freerein_segmentation.core.inference import Actions, Pixels, SkillModel
@@ -23,29 +23,17 @@ def check_options(smoothing: float, min_confidence: float, *, fps: float = 0.0, 
     """Raises InvalidInput when an option, or a length of segments of the name given, is out of bounds."""
     for name, length in lengths.items():
         if length > MAX_MIN_SEGMENT:
-            raise InvalidInput(
-                f"`{name}` must be at most {MAX_MIN_SEGMENT} timesteps; got {length}.",
-                field=name,
-                hint="5 is usual, as in the dissertation.",
-            )
+            hint = "5 is usual, as in the dissertation."
+            raise must_be(name, f"at most {MAX_MIN_SEGMENT} timesteps", length, hint=hint)
     if not 0.0 <= smoothing <= MAX_SMOOTHING:
-        raise InvalidInput(
-            f"`smoothing` must be in [0, {MAX_SMOOTHING:g}] timesteps; got {smoothing:g}.",
-            field="smoothing",
-            hint="One or two timesteps are usual.",
-        )
+        hint = "One or two timesteps are usual."
+        raise must_be("smoothing", f"in [0, {MAX_SMOOTHING:g}] timesteps", f"{smoothing:g}", hint=hint)
     if not 0.0 <= fps <= MAX_FPS:
-        raise InvalidInput(
-            f"`fps` must be in [0, {MAX_FPS:g}] timesteps per second; got {fps:g}.",
-            field="fps",
-            hint="Leave it 0 for the rate that the model was trained on.",
-        )
+        hint = "Leave it 0 for the rate that the model was trained on."
+        raise must_be("fps", f"in [0, {MAX_FPS:g}] timesteps per second", f"{fps:g}", hint=hint)
     if not 0.0 <= min_confidence <= 1.0:
-        raise InvalidInput(
-            f"`min_confidence` must be in [0, 1]; got {min_confidence:g}.",
-            field="min_confidence",
-            hint="0.8 rejects what is often wrong, such as the beginnings of skills.",
-        )
+        hint = "0.8 rejects what is often wrong, such as the beginnings of skills."
+        raise must_be("min_confidence", "in [0, 1]", f"{min_confidence:g}", hint=hint)
 
 
 async def read_timesteps(model: SkillModel, request: SegmentRequest | Timesteps) -> tuple[Pixels, Actions]:
@@ -95,11 +83,9 @@ def checked_actions(action: ActionSpec, actions: Actions, timesteps: int | None)
         or actions.shape != (len(actions) if timesteps is None else timesteps, action.size)
     ):
         got = "none" if actions is None else f"{actions.dtype} {actions.shape}"
-        raise InvalidInput(
-            f"`actions` must be {action.dtype} ({timesteps or 'T'}, {action.size}), one row per frame; got {got}.",
-            field="actions",
-            hint="Send the executed action of each timestep, in the format that ListSkills returns.",
-        )
+        rule = f"{action.dtype} ({timesteps or 'T'}, {action.size}), one row per frame"
+        hint = "Send the executed action of each timestep, in the format that ListSkills returns."
+        raise must_be("actions", rule, got, hint=hint)
     low, high = action.bounds
     if not ((actions >= low) & (actions <= high)).all():  # False for NaN
         raise InvalidInput(
