@@ -1,20 +1,16 @@
 """Benchmark results, printed as tables and written as JSON."""
 
 import json
-import os
-import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 
-from experiments.workbench.processor import processor
+from experiments.workbench.results import machine
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.timing import Latencies, Rates
 
-_PACKAGES = ("freerein", "grpcio", "gymnasium", "httpx", "mujoco", "numpy", "protobuf", "torch", "uvicorn", "uvloop")
 _SHARES = {"p50": 0.5, "p99": 0.99}
 
 
@@ -96,8 +92,7 @@ def write(results: Results, path: Path, *, load: Sequence[float]) -> None:
             for benchmark, latencies in results.latencies.items()
             for name in latencies.seconds
         },
-        "machine": {"processor": processor(), "cores": os.cpu_count(), "system": platform.platform(), "load": load},
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
+        "machine": {**machine(), "load": load},
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(document, indent=2) + "\n")

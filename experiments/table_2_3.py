@@ -1,8 +1,7 @@
 """Table 2.3: labels without short segments, and policies that are cloned from them, in the world `dial`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 from experiments import table_2_2
 from experiments.segmentation.evaluation import CONFIDENT_ACCURACY, FRAME_ACCURACY, KEPT_ACCURACY
@@ -10,11 +9,9 @@ from experiments.segmentation.methods import CAUSAL, OURS, WHOLE
 from experiments.segmentation.rows import PER_CENT, Row, Rows, dissertation
 from experiments.segmentation.zero_shot import CLONED, EXPERT, SUBTASKS, TRUE_LABELS, WHOLE_RECIPES, ZeroShot
 from experiments.workbench import claims
-from experiments.workbench.arms import Arm, Experiment
 from experiments.workbench.claims import Claim
-from experiments.workbench.configs import Config
 from experiments.workbench.plots import interval_plot
-from experiments.workbench.results import ArmResult, Outcome, Sample
+from experiments.workbench.results import ArmResult, Sample
 from experiments.workbench.table import Picture, Section, Table, words
 
 _SOURCE, _WORLD = "table_2_2", table_2_2.DIAL
@@ -43,39 +40,10 @@ _HEADER = (
     "dissertation: accuracy / kept / subtasks, %",
     "seeds",
 )
-ZERO_SHOT = ZeroShot(
-    source=_SOURCE,
-    study=table_2_2.EXPERIMENT.studies[0],
-    labelled_by=tuple((row.method, row.context) for row in _METHODS),
-    seeds=_SEEDS,
-    policies={"method": "skill_cloning", "steps": 12_000, "memory": 1, "chunk": 3, "shift": 1},
-    recipes=100,
-)
 
 
-class _Experiment(Experiment):
+class _Experiment(ZeroShot):
     """The arms of zero-shot execution; its table shows those of table 2.2, too."""
-
-    sources = (_SOURCE,)
-
-    @property
-    def arms(self) -> tuple[Arm, ...]:
-        """The arms."""
-        return ZERO_SHOT.arms
-
-    def config(self, arm: Arm) -> Config:
-        """Returns what an arm's result depends on."""
-        return ZERO_SHOT.config(arm)
-
-    def prepare(self, arm: Arm, work: Path) -> bool:
-        """Collects the demonstrations that all policies are cloned from."""
-        return arm.method == EXPERT or ZERO_SHOT.prepare(work)
-
-    def run(
-        self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
-    ) -> Outcome | None:
-        """Runs an arm; see `Experiment`."""
-        return ZERO_SHOT.run(arm, results=results.parent, work=work, folder=folder, on_progress=on_progress)
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns a row for each method that has results, and the claim."""
@@ -113,25 +81,21 @@ def _samples(arms: Sequence[ArmResult], figure: str) -> list[Sample]:
 def _claim(row: Row, executed: dict[Row, list[ArmResult]]) -> Claim:
     arms, ceilings = executed[row], executed[Row(TRUE_LABELS)]
     samples = _samples(arms, SUBTASKS)
-    low, high = claims.interval(samples)
     value = PER_CENT * claims.mean(samples)
     ceiling = PER_CENT * claims.mean(_samples(ceilings, SUBTASKS)) if ceilings else None
     is_ours = row == _OURS
-    return Claim(
-        claim="dial_zero_shot" if is_ours else ".".join(["table_2_3", *filter(None, row)]),
-        value=round(value, 3),
-        low=round(PER_CENT * low, 3),
-        high=round(PER_CENT * high, 3),
+    return claims.claim_of(
+        "dial_zero_shot" if is_ours else ".".join(["table_2_3", *filter(None, row)]),
+        arms,
+        samples,
+        unit=PER_CENT,
         seeds=None if row.method == EXPERT else len(arms),
-        trials=len(samples[0].totals),
         scale=None if row.method == EXPERT else "full",
         ceiling=None if ceiling is None or row.method in (TRUE_LABELS, EXPERT) else round(ceiling, 3),
         dissertation=_DISSERTATION[row][2] if row in _DISSERTATION else None,
         target=_LEAST_SUCCESS if is_ours else None,
         met=len(arms) >= _SEEDS and (value >= _LEAST_SUCCESS or _is_close(samples, ceilings)) if is_ours else None,
-        world_version=arms[0].world_version,
         command=f"python -m experiments run table_2_3 --only '{arms[0].name.removesuffix(str(arms[0].seed))}*'",
-        minutes=round(sum(arm.minutes for arm in arms), 2),
     )
 
 
@@ -156,4 +120,11 @@ def _cells(row: Row, rows: Rows, executed: Sequence[ArmResult], claim: Claim | N
     return (*row, *labelled, *done, theirs, str(len(executed) or len(rows.arms.get(row, ()))))
 
 
-EXPERIMENT = _Experiment()
+EXPERIMENT = _Experiment(
+    source=_SOURCE,
+    study=table_2_2.EXPERIMENT.studies[0],
+    labelled_by=tuple((row.method, row.context) for row in _METHODS),
+    seeds=_SEEDS,
+    policies={"method": "skill_cloning", "steps": 12_000, "memory": 1, "chunk": 3, "shift": 1},
+    recipes=100,
+)

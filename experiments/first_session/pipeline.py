@@ -8,9 +8,8 @@ from types import MappingProxyType
 from typing import Any
 
 from experiments.workbench.pipelines import Step, step
-
-HELD_OUT_SEED = 1_000_000
-"""Added to the seed for evaluations."""
+from freerein.cli.demo.learning import GRID_DEMONSTRATIONS, GRID_FIT, ITERATIONS, PPO, UNTRAINED
+from freerein.cli.demo.parts import HELD_OUT_SEED
 
 SIDES = ("left", "right")
 TASKS = {side: f"blocks.yellow-{side}-of-green" for side in SIDES}
@@ -59,11 +58,6 @@ _BLOCK = 0.105
 """Width of a block's front in the frames of the camera `front`, as a share of theirs."""
 
 _EPISODES, _SENTENCE_EPISODES = 50, 32
-_ITERATIONS = 47
-"""Half of the default: 96 256 control ticks."""
-
-_NO_LR = 1e-7
-"""The smallest learning rate, which changes nothing: the policy with an eye and random weights that PPO begins with."""
 
 
 def pipeline(size: str, seed: int) -> list[Step]:
@@ -75,11 +69,11 @@ def pipeline(size: str, seed: int) -> list[Step]:
 def _learn_from_data() -> list[Step]:
     """What is recorded, and the models that learn from it."""
     return [
-        _collect("grid-demos", task="grid", behaviour="expert", count=1000, min_skills=2, max_skills=4),
+        _collect("grid-demos", behaviour="expert", **GRID_DEMONSTRATIONS),
         _collect("blocks-demos", task="blocks", behaviour="expert", count=400, min_skills=2, max_skills=3),
         _collect("exploration", task="blocks", behaviour="random", count=400),
         _collect("scatter", task="blocks.scatter", behaviour="random", count=1000),
-        _fit("fit-grid", "segmentation", "first-grid", "grid-demos", steps=300, batch_size=16, augmentation=0.0),
+        _fit("fit-grid", "segmentation", "first-grid", "grid-demos", **GRID_FIT),
         _evaluate("grid-labels", "segmentation", task="grid", model="first-grid", episodes=100, **_skills(5)),
         _fit("fit-blocks", "segmentation", "first-blocks", "blocks-demos", stride=3, steps=1200, augmentation=0.0),
         step("label-blocks", "label", dataset="blocks-demos", model="first-blocks", smoothing=1),
@@ -100,8 +94,8 @@ def _evaluate_and_practise() -> list[Step]:
         _returns("random-right", other, "random"),
         _fit("fit-skills", "imitation", "first-skills", "blocks-demos", after="label-blocks", method="skills"),
         _evaluate("recipes", "recipes", task="blocks", policy={"model": "first-skills"}, episodes=40, num_envs=40),
-        _ppo("ppo-first", own, iterations=1, lr=_NO_LR),
-        _ppo("ppo", own, iterations=_ITERATIONS, init_from="ppo-first"),
+        _ppo("ppo-first", own, **UNTRAINED),
+        _ppo("ppo", own, iterations=ITERATIONS, init_from="ppo-first"),
         _returns("ppo-returns", own, {"run": "ppo"}, baseline={"run": "ppo-first"}),
         step(
             "distill",
@@ -139,7 +133,7 @@ def _evaluate(name: str, form: str, **config: Any) -> Step:
 
 def _ppo(name: str, task: str, **config: Any) -> Step:
     """PPO from random weights, on the reward that was learned."""
-    return step(name, "ppo", task=task, reward_model=_REWARD_MODEL, conditions=["start-on-the-way"], **config)
+    return step(name, "ppo", task=task, reward_model=_REWARD_MODEL, **PPO, **config)
 
 
 def _scenes(name: str, condition: str) -> Step:

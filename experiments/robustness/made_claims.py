@@ -13,6 +13,8 @@ from experiments.workbench import claims
 from experiments.workbench.claims import Claim
 from experiments.workbench.results import ArmResult, Sample
 
+_DIGITS = 4
+
 
 @dataclass(frozen=True, eq=False)
 class Made:
@@ -51,22 +53,20 @@ def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
     values = {name: target.unit * claims.mean(samples_of(arms, name)) for name in target.samples}
     worst = (max if target.least is None else min)(values, key=values.__getitem__)
     samples = samples_of(arms, worst)
-    low, high = claims.interval(samples)
+    low, _ = claims.interval(samples)
     baseline, ceiling = (_mean(target, each, worst) for each in (others, ceilings))
-    claim = Claim(
-        claim=target.claim,
-        value=_rounded(values[worst]),
-        low=_rounded(target.unit * low),
-        high=_rounded(target.unit * high),
+    claim = claims.claim_of(
+        target.claim,
+        arms,
+        samples,
+        unit=target.unit,
+        digits=_DIGITS,
         seeds=len(samples),
-        trials=len(samples[0].totals),
         baseline=baseline,
         ceiling=ceiling,
         target=target.least if target.most is None else target.most,
         met=_is_met(target, arms, _rounded(values[worst]), target.unit * low) if target.has_bar else None,
-        world_version=arms[0].world_version,
         command=_command(arms),
-        minutes=round(sum(arm.minutes for arm in arms), 2),
     )
     return Made(target, claim, worst)
 
@@ -153,4 +153,4 @@ def _command(arms: Sequence[ArmResult]) -> str:
 
 
 def _rounded(value: float) -> float:
-    return round(value, 4)
+    return round(value, _DIGITS)

@@ -135,18 +135,16 @@ def _claim(
     arms, value = rows.arms[row], rows.value(row, figure)
     if value is None:
         raise ValueError(f"The results of {row} must have samples of {figure}.")
-    low, high = rows.interval(row, figure)
     baseline, ceiling = rows.baseline(row, figure), rows.ceiling(row, figure)
     gap_closed = claims.gap_closed(value, baseline=baseline, ceiling=ceiling, least_gap=LEAST_GAP)
     pattern = arms[0].name.removesuffix(str(arms[0].seed)) + "*"
     least = None if target is None else target.least_value(rows)
-    return Claim(
-        claim=name,
-        value=round(value, 3),
-        low=round(low, 3),
-        high=round(high, 3),
+    return claims.claim_of(
+        name,
+        arms,
+        [arm.samples[figure] for arm in arms],
+        unit=PER_CENT,
         seeds=len(arms) if row.context else None,
-        trials=len(arms[0].samples[figure].totals),
         scale=_scale(report, study),
         baseline=None if baseline is None else round(baseline, 3),
         ceiling=None if ceiling is None else round(ceiling, 3),
@@ -154,9 +152,7 @@ def _claim(
         dissertation=_dissertation(report, study.world, row, figure) if target is None else target.above,
         target=None if least is None else round(least, 3),
         met=None if target is None else not target.missing(rows) and _scale(report, study) != "reduced",
-        world_version=arms[0].world_version,
         command=f"python -m experiments run {report.experiment} --only '{pattern}'",
-        minutes=round(sum(arm.minutes for arm in arms), 2),
     )
 
 

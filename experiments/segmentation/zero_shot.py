@@ -17,7 +17,7 @@ import numpy as np
 from experiments.segmentation import trials
 from experiments.segmentation.evaluation import LEAST_SEGMENT, SMOOTHING
 from experiments.segmentation.study import Study
-from experiments.workbench.arms import Arm, world_version
+from experiments.workbench.arms import Arm, Experiment, world_version
 from experiments.workbench.cache_paths import cache_path
 from experiments.workbench.configs import Config
 from experiments.workbench.locks import locked
@@ -43,8 +43,8 @@ _ENVIRONMENTS = 25
 
 
 @dataclass(frozen=True)
-class ZeroShot:
-    """Arms that clone skill policies from labels, and have them execute recipes.
+class ZeroShot(Experiment):
+    """Arms that clone skill policies from labels, and have them execute recipes; without a table.
 
     Attributes:
         source: Name of the segmentation experiment that has the methods and their learning rates.
@@ -69,6 +69,11 @@ class ZeroShot:
         cloned = [Arm(self.study.world, CLONED, each, seed) for seed in range(self.seeds) for each in labels_of]
         return (Arm(self.study.world, EXPERT), *cloned)
 
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The segmentation experiment, whose labels' accuracies are shown, too."""
+        return (self.source,)
+
     def config(self, arm: Arm) -> Config:
         """Returns everything that an arm's result depends on, beside its name, the world, the code and the trials."""
         config: dict[str, object] = {"recipes": self.recipes, "data": self.study.data}
@@ -78,8 +83,10 @@ class ZeroShot:
             config |= {"fit": self.study.fit_config(_network(arm)), "smoothing": SMOOTHING}
         return config
 
-    def prepare(self, work: Path) -> bool:
-        """Collects the demonstrations, or waits until another arm has; returns False when it was stopped."""
+    def prepare(self, arm: Arm, work: Path) -> bool:
+        """Collects the demonstrations that all policies are cloned from, or waits until another arm has."""
+        if arm.method == EXPERT:
+            return True
         folder = self._demonstrations(work)
         with locked(folder.with_suffix(".lock")):
             if not (folder / _COLLECTED).is_file():
@@ -89,18 +96,9 @@ class ZeroShot:
         return True
 
     def run(
-        self,
-        arm: Arm,
-        *,
-        results: Path,
-        work: Path,
-        folder: Path,
-        on_progress: Callable[[], None],
+        self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
     ) -> Outcome | None:
-        """Labels, clones and executes; None when it was stopped.
-
-        `results` is the folder of the results of all experiments.
-        """
+        """Labels, clones and executes; see `Experiment`."""
         if arm.method == EXPERT:
             return _outcome(run_pipeline([self._executed("expert")], folder, on_progress))
         root = dataset_path(folder / "data", _DATASET)
@@ -116,7 +114,7 @@ class ZeroShot:
         if arm.options["labels"] == TRUE_LABELS:
             _label_truly(self._request, root)
         else:
-            cloned = [*self._labelled(arm, results / self.source), *cloned]
+            cloned = [*self._labelled(arm, results.parent / self.source), *cloned]
         return _outcome(run_pipeline(cloned, folder, on_progress))
 
     @property

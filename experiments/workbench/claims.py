@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from experiments.workbench.results import Sample
+from experiments.workbench.results import ArmResult, Sample
 
 Scale = Literal["full", "reduced"]
 """`full` for the dissertation's amount of training data, else `reduced`, which supports no claim."""
@@ -56,6 +56,23 @@ class Claim:
     world_version: str
     command: str
     minutes: float
+
+
+def claim_of(
+    name: str, arms: Sequence[ArmResult], samples: Sequence[Sample], *, unit: float = 1, digits: int = 3, **more: Any
+) -> Claim:
+    """Returns a claim of the samples of arms, times a unit, with its interval; `more` are its other fields."""
+    low, high = interval(samples)
+    return Claim(
+        claim=name,
+        value=round(unit * mean(samples), digits),
+        low=round(unit * low, digits),
+        high=round(unit * high, digits),
+        trials=len(samples[0].totals),
+        world_version=arms[0].world_version,
+        minutes=round(sum(arm.minutes for arm in arms), 2),
+        **more,
+    )
 
 
 def mean(samples: Sequence[Sample]) -> float:

@@ -5,6 +5,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 INK, PAPER, FAINT, QUIET = "#1f2430", "#ffffff", "#8b93a3", "#cfd6e4"
 GOOD, BAD = "#2f9e58", "#d63a3a"
 _NAMED = {
@@ -38,6 +41,23 @@ def skill_colours(skills: Sequence[str]) -> list[str]:
         named = (_NAMED[word] for word in skill.replace("_", "-").split("-") if word in _NAMED)
         colours.append(next(named, others[index % len(others)]))
     return colours
+
+
+FILM_FRAMES = 9
+"""Frames of a trajectory that a picture shows."""
+
+
+def draw_film(axes: Any, frames: Sequence[npt.NDArray[np.uint8]], *, aspect: str = "equal") -> None:
+    """Draws frames of a trajectory, uint8 (H, W, 1 or 3) each, side by side: some at equal distances, or all of few."""
+    count = min(FILM_FRAMES, len(frames))
+    picks = ((np.arange(count) + 0.5) * len(frames) / count).astype(int)
+    height, width = frames[0].shape[:2]
+    gap = max(1, width // 24)
+    strip = np.full((height, count * (width + gap) - gap, 3), 255, np.uint8)
+    for place, pick in enumerate(picks):
+        strip[:, place * (width + gap) : place * (width + gap) + width] = frames[pick]
+    axes.imshow(strip, aspect=aspect)
+    axes.axis("off")
 
 
 def draw_legend(figure: Any, names: Sequence[str], colours: Sequence[str]) -> None:

@@ -15,6 +15,7 @@ from freerein import wire
 from freerein.atomic_files import write_atomic
 from freerein.cli.commands.dataset import dataset_root, read_trajectory
 from freerein.cli.connection import SEGMENT_TIMEOUT_S, call
+from freerein.cli.figure_style import FILM_FRAMES
 from freerein.cli.output import AsJson, command, print_json, progress_bar
 from freerein.cli.segments import picture, timeline
 from freerein.cli.segments.timeline import Timeline
@@ -175,7 +176,7 @@ def _film_of(path: Path, answer: SegmentResponse) -> Film:
 
 
 def _film_indices(count: int) -> list[int]:
-    return [int(t) for t in np.linspace(0, count - 1, min(count, picture.FILM_FRAMES))]
+    return [int(t) for t in np.linspace(0, count - 1, min(count, FILM_FRAMES))]
 
 
 def _segment_one(dataset: Dataset, index: int, request: SegmentRequest, camera: str) -> tuple[Timeline, Film]:

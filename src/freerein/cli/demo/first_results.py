@@ -49,7 +49,7 @@ async def label_a_demonstration(demo: Demo) -> Sequence[Figure]:
     demo.reporter.show(lambda console: timeline.show(labelled, console))
     with demo.reporter.waiting("rendering"):
         film = await _rendered(demo, asked, timesteps=len(frames))
-    picture.draw(path, labelled, [film[t] for t in np.linspace(0, len(film) - 1, picture.FILM_FRAMES, dtype=int)])
+    picture.draw(path, labelled, list(film))
     demo.reporter.picture(path)
     predicted = np.array([dataset.spec.skills.index(skill) for skill in answer.skills])[answer.labels]
     right, longest = metrics.frame_accuracy(predicted, labels), metrics.majority_accuracy(labels)

@@ -18,12 +18,16 @@ from freerein.types.sim import CloseSessionRequest, CreateSessionRequest, Render
 
 _TASK, _SENTENCE = "blocks.yellow-left-of-green", "a yellow block to the left of a green block"
 _CAMERA = "front"
-_PPO: dict[str, Any] = {"task": _TASK, "conditions": ["start-on-the-way"]}
-_ITERATIONS = 47
+GRID_DEMONSTRATIONS: dict[str, Any] = {"task": "grid", "count": 1000, "min_skills": 2, "max_skills": 4}
+GRID_FIT: dict[str, Any] = {"steps": 300, "batch_size": 16, "augmentation": 0.0}
+"""What is recorded of the world `grid`, and how skills are learned from it."""
+
+PPO: dict[str, Any] = {"conditions": ["start-on-the-way"]}
+ITERATIONS = 47
 """Half of the default: 96 256 timesteps."""
 
-_UNTRAINED = {"iterations": 1, "lr": 1e-7, "explorations": 1}
-"""The smallest learning rate, which changes nothing: the policy that PPO begins with."""
+UNTRAINED: dict[str, Any] = {"iterations": 1, "lr": 1e-7}
+"""The smallest learning rate, which changes nothing: the policy with random weights that PPO begins with."""
 
 _SHOWN_FRAMES, _EVERY = 9, 2
 
@@ -31,9 +35,9 @@ _SHOWN_FRAMES, _EVERY = 9, 2
 async def learn_skills_from_tags(demo: Demo) -> Sequence[Figure]:
     """A segmentation model is fitted to demonstrations, each tagged with the set of its skills."""
     dataset, model = f"{PREFIX}grid-{demo.seed}", f"{PREFIX}grid"
-    collect = {"task": "grid", "dataset": dataset, "count": 1000, "min_skills": 2, "max_skills": 4, "seed": demo.seed}
+    collect = {**GRID_DEMONSTRATIONS, "dataset": dataset, "seed": demo.seed}
     await demo.run("5-record", "collect", collect, about_s=9)
-    fit = {"steps": 300, "batch_size": 16, "augmentation": 0.0, "seed": demo.seed}
+    fit = {**GRID_FIT, "seed": demo.seed}
     asked = {"service": "segmentation", "dataset": dataset, "model_name": model, "config": fit}
     await demo.run("5-fit", "fit", asked, about_s=25, curve="train_loss", unit="loss")
     longer = {"min_skills": 5, "max_skills": 5, "smoothing": 1}  # more different skills than any that it has seen
@@ -46,11 +50,11 @@ async def learn_skills_from_tags(demo: Demo) -> Sequence[Figure]:
 
 async def learn_from_a_sentence(demo: Demo) -> Sequence[Figure]:
     """A policy is trained by PPO on the reward that a model reads from images and the sentence."""
-    seeded = {**_PPO, "seed": demo.seed}
+    seeded = {**PPO, "task": _TASK, "seed": demo.seed}
     demo.reporter.line("It first moves at random, to find its gripper in images; then it learns.")
-    untrained = await demo.run("6-untrained", "ppo", {**seeded, **_UNTRAINED}, about_s=8)
+    untrained = await demo.run("6-untrained", "ppo", {**seeded, **UNTRAINED, "explorations": 1}, about_s=8)
     trained = await demo.run(
-        "6-ppo", "ppo", {**seeded, "iterations": _ITERATIONS}, about_s=85, curve="episode_return", unit="return"
+        "6-ppo", "ppo", {**seeded, "iterations": ITERATIONS}, about_s=85, curve="episode_return", unit="return"
     )
     before = await _returns(demo, "6-before", untrained.run.id)
     after = await _returns(demo, "6-after", trained.run.id, baseline="random")

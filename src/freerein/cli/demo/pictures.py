@@ -7,7 +7,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from freerein.cli.figure_style import BAD, FAINT, GOOD, INK, PAPER, QUIET, draw_legend, figure_style, skill_colours
+from freerein.cli.figure_style import (
+    BAD,
+    FAINT,
+    FILM_FRAMES,
+    GOOD,
+    INK,
+    PAPER,
+    QUIET,
+    draw_film,
+    draw_legend,
+    figure_style,
+    skill_colours,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,7 +30,6 @@ RENDERED_PX = 256
 """Height and width of frames that are rendered for a picture, not for a model."""
 
 _WIDTH = 14.0  # inches
-_FILM_FRAMES = 9
 _GREATEST_OVERLAY = 0.75
 
 
@@ -98,7 +109,7 @@ def timeline_figure(trajectory: LabelledTrajectory, *, task: str) -> "Figure":
     )
     rows = figure.subplots(4, 1, gridspec_kw={"height_ratios": [2.3, 0.8, 0.8, 1.2], "hspace": 0.28})
     figure.subplots_adjust(right=0.985, bottom=0.21)
-    _draw_film(rows[0], trajectory.frames)
+    draw_film(rows[0], list(trajectory.frames))
     colours = skill_colours(trajectory.skills)
     _draw_labels(rows[1], "ground truth", trajectory.truth, colours)
     _draw_labels(rows[2], "predicted", trajectory.labels, colours)
@@ -204,9 +215,9 @@ def rewards_figure(examples: Sequence[RewardExample], *, images: str) -> "Figure
 def episode_figure(frames: Sequence[Image], *, title: str, subtitle: str) -> "Figure":
     """Returns some frames of an episode, uint8 (H, W, 3), from its start to its end."""
     height, width = frames[0].shape[:2]
-    figure = new_figure(_WIDTH / _FILM_FRAMES * height / width + 1.1, title, subtitle, left=0.02, top=0.99)
+    figure = new_figure(_WIDTH / FILM_FRAMES * height / width + 1.1, title, subtitle, left=0.02, top=0.99)
     figure.subplots_adjust(right=0.98, bottom=0.02, top=1 - 0.95 / figure.get_figheight())
-    _draw_film(figure.subplots(), np.stack(frames))
+    draw_film(figure.subplots(), frames)
     return figure
 
 
@@ -219,16 +230,6 @@ def new_figure(height: float, title: str, subtitle: str, *, left: float, top: fl
     figure.text(left, 1 - 0.38 / height, title, fontsize=16, fontweight="bold")
     figure.text(left, 1 - 0.52 / height, subtitle, color=FAINT, va="top")
     return figure
-
-
-def _draw_film(axes: Any, frames: Image) -> None:
-    picks = ((np.arange(_FILM_FRAMES) + 0.5) * len(frames) / _FILM_FRAMES).astype(int)
-    height, width = frames.shape[1:3]
-    gap = max(1, width // 24)
-    strip = np.full((height, _FILM_FRAMES * (width + gap) - gap, 3), 255, np.uint8)
-    for place, pick in enumerate(picks):
-        strip[:, place * (width + gap) : place * (width + gap) + width] = frames[pick]
-    _draw_image(axes, strip, "")
 
 
 def _draw_labels(axes: Any, name: str, labels: npt.NDArray[np.int64], colours: Sequence[str]) -> None:

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freerein.cli.figure_style import FAINT, INK, draw_legend, figure_style, skill_colours
+from freerein.cli.figure_style import FAINT, INK, draw_film, draw_legend, figure_style, skill_colours
 from freerein.cli.segments.timeline import Timeline
 from freerein.types.segmentation import NO_SKILL
-
-FILM_FRAMES = 9
 
 _NONE = "#eef0f4"
 
@@ -34,7 +32,7 @@ def draw(path: Path, timeline: Timeline, film: Sequence[npt.NDArray[np.uint8]]) 
     figure.subplots_adjust(left=0.085, right=0.985, bottom=0.27 if film else 0.35, top=0.92)
     figure.suptitle("Skill timeline", x=0.085, ha="left", fontweight="bold")
     if film:
-        _draw_film(rows[0], film)
+        draw_film(rows[0], film, aspect="auto")
     end_s = float(timeline.time_s[-1])
     colours = skill_colours(answer.skills)
     _draw_skills(rows[-2], timeline, colours)
@@ -48,13 +46,6 @@ def draw(path: Path, timeline: Timeline, film: Sequence[npt.NDArray[np.uint8]]) 
     used = [names[label] for label in sorted(set(answer.labels.tolist()), key=lambda label: label == NO_SKILL)]
     draw_legend(figure, used, [shown[name] for name in used])
     figure.savefig(path)
-
-
-def _draw_film(axes: Any, film: Sequence[npt.NDArray[np.uint8]]) -> None:
-    colour = [np.broadcast_to(frame, (*frame.shape[:2], 3)) for frame in film]
-    axes.imshow(np.concatenate(colour, axis=1), aspect="auto")
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set_visible(False)
 
 
 def _draw_skills(axes: Any, timeline: Timeline, colours: Sequence[str]) -> None:
