@@ -50,7 +50,7 @@ def test_every_task_that_comes_with_freerein_has_an_id() -> None:
 @pytest.mark.parametrize(
     ("task", "steps", "conditions"),
     [
-        ("grid", 200, ("noise-10", "warm")),
+        ("grid", 60, ("noise-10", "warm")),
         ("blocks", 5, ("camera-5cm", "blocks-3")),
     ],
 )

@@ -251,7 +251,7 @@ def test_only_the_privileged_see_the_truth_and_nobody_gets_its_reward_as_reward(
 
 
 @pytest.mark.fault("M10")
-@pytest.mark.parametrize(("task", "count"), [(GRID, 26), (BLOCKS, 6)], ids=["grid", "blocks"])
+@pytest.mark.parametrize(("task", "count"), [(GRID, 29), (BLOCKS, 3)], ids=["grid", "blocks"])
 def test_restored_at_any_cut_the_same_actions_give_the_same_bits(
     begin: MakeEnvs, make: MakeEnvs, task: TaskDefinition, count: int
 ) -> None:

@@ -222,6 +222,16 @@ def test_the_expert_moves_every_named_block_and_no_other() -> None:
             assert moved == set(skills), f"seed {seed}"
 
 
+def test_the_recipe_changes_nothing_that_can_be_seen() -> None:
+    with closing(begin("blocks")) as world:
+        starts = set()
+        for recipe in ((), ("move-red",), ("move-blue", "move-green")):
+            world.reset(np.random.default_rng(5), recipe=recipe)
+            starts.add(world.snapshot())
+
+    assert len(starts) == 1
+
+
 def test_every_block_can_be_seen_from_the_front_at_64_pixels() -> None:
     with closing(begin("blocks")) as world:
         image = world.render("front", height=64, width=64).astype(int)

@@ -147,17 +147,12 @@ def test_what_mujoco_says_is_said_by_the_service_at_its_start(
     assert "apt-get" not in refused.value.hint
 
 
-def test_the_service_does_not_start_with_a_device_that_there_is_not() -> None:
-    ended = subprocess.run(
-        [sys.executable, "-m", "freerein_sim"],
-        env=environ(MUJOCO_EGL_DEVICE_ID="77"),
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert ended.returncode == CONFIGURATION_ERROR
-    assert "must be an integer between 0 and" in ended.stderr
+def test_the_service_does_not_start_with_a_device_that_there_is_not(
+    run_badly: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    code, stderr = run_badly("freerein_sim", tmp_path, MUJOCO_GL="egl", MUJOCO_EGL_DEVICE_ID="77")
+    assert code == CONFIGURATION_ERROR
+    assert "must be an integer between 0 and" in stderr
 
 
 def test_the_doctor_says_with_what_the_service_renders_and_what_mujoco_says(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -90,7 +90,7 @@ def test_a_forged_snapshot_is_refused_and_changes_nothing(forge: Callable[[bytes
 @pytest.mark.fault("F1")
 @pytest.mark.parametrize("steps", [0, 2, 4])
 def test_a_snapshot_that_miscounts_its_actions_is_refused_and_changes_nothing(steps: int) -> None:
-    with closing(VectorEnv(TASK, num_envs=2, seed=1)) as envs:
+    with closing(VectorEnv(TASK, num_envs=2, seed=1, conditions=("blur",))) as envs:
         envs.reset()
         for _ in range(3):
             envs.step(np.array([[1], [0]]))
