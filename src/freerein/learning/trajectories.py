@@ -67,6 +67,11 @@ class Trajectories:
         """Returns the timesteps of each trajectory, int64 (n,)."""
         return np.array([len(self.actions[item]) for item in range(len(self))], np.int64)
 
+    def windows(self, steps: int) -> npt.NDArray[np.int64]:
+        """Returns the trajectory of each window of an epoch, int64 (n,), so that every timestep counts about alike."""
+        counts = np.ceil(self.lengths() / steps).astype(np.int64)
+        return np.repeat(np.arange(len(counts)), counts)
+
     def subset(self, items: Sequence[int]) -> "Trajectories":
         """Returns some of the trajectories, without copying frames."""
         chosen: dict[str, Any] = {
@@ -91,6 +96,15 @@ class Trajectories:
             hint="Record more, or longer ones: freerein sim demonstrate TASK --out NAME.",
         )
         return self.subset(training), self.subset(validation)
+
+    def frames_at(
+        self, places: Sequence[tuple[int, slice | npt.NDArray[np.int64]]], device: torch.device
+    ) -> dict[str, Tensor]:
+        """Returns the frames of each camera, uint8 (N, H, W, C), at some timesteps of some trajectories."""
+        return {
+            camera: torch.from_numpy(np.concatenate([arrays[item][at] for item, at in places])).to(device)
+            for camera, arrays in self.frames.items()
+        }
 
     def sample_frames(self, count: int) -> dict[str, Tensor]:
         """Returns about `count` frames of each camera, uint8 (N, H, W, C), spaced evenly over all trajectories.

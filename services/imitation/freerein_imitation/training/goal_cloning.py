@@ -105,7 +105,7 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
 
     @cached_property
     def _windows(self) -> Places:
-        return _windows(self.training, self.config)
+        return self.training.windows(window_steps(self.config.max_goal_steps))
 
     @property
     def size(self) -> int:
@@ -164,7 +164,7 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
         network.in_distribution.fit(known, held_out, confidence(torch.cat(reached)), trajectories=trajectories)
 
     def _validation_batches(self, rng: np.random.Generator) -> list[GoalWindows]:
-        items = _windows(self.validation, self.config)
+        items = self.validation.windows(window_steps(self.config.max_goal_steps))
         items = items[:: math.ceil(len(items) / _EVALUATION_WINDOWS)]
         chunks = np.array_split(items, math.ceil(len(items) / self.config.batch_size))
         return [self._sample(self.validation, self._validation_alike, chunk.tolist(), rng) for chunk in chunks]
@@ -245,12 +245,6 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
 def _total(losses: Losses) -> Tensor:
     """Returns the sum that is minimised, float ()."""
     return losses["action_loss"] + _ODOMETRY_WEIGHT * losses["odometry_loss"] + _CHANGE_WEIGHT * losses["change_loss"]
-
-
-def _windows(trajectories: Trajectories, config: GoalCloningConfig) -> Places:
-    """Returns the trajectory of each window of an epoch, int64 (n,); every timestep counts about alike."""
-    counts = np.ceil(trajectories.lengths() / window_steps(config.max_goal_steps)).astype(np.int64)
-    return np.repeat(np.arange(len(counts)), counts)
 
 
 def _lookalikes(trajectories: Trajectories, config: GoalCloningConfig) -> list[Places]:

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -95,7 +94,7 @@ class GoalImagesLearner(Learner[N]):
 
     @cached_property
     def _windows(self) -> Items:
-        return _windows(self.training, self.config)
+        return self.training.windows(self.config.max_goal_steps)
 
     @property
     def size(self) -> int:
@@ -122,7 +121,7 @@ class GoalImagesLearner(Learner[N]):
     @torch.no_grad()
     def validation_losses(self, network: N) -> Losses:
         """Returns the mean losses on validation trajectories, on the same slices and pairs each time."""
-        rng, items = np.random.default_rng(self.config.seed), _windows(self.validation, self.config)
+        rng, items = np.random.default_rng(self.config.seed), self.validation.windows(self.config.max_goal_steps)
         items = items[:: math.ceil(len(items) / _EVALUATION_WINDOWS)]
         batches = np.array_split(items, math.ceil(len(items) / self.config.batch_size))
         parts = [self._losses(network, self.validation, batch.tolist(), rng) for batch in batches]
@@ -175,9 +174,3 @@ def reached_threshold(recognizer: GoalRecognizer, trajectories: Trajectories) ->
         embeddings = encode_trajectory(recognizer, trajectories, item)[:_THRESHOLD_FRAMES]
         logits.append(proximity_logit(embeddings[1:], embeddings[:-1]).cpu().numpy())  # (T - 1,)
     return float(np.median(1 / (1 + np.exp(-np.concatenate(logits)))))
-
-
-def _windows(trajectories: Trajectories, config: GoalImagesConfig) -> npt.NDArray[np.int64]:
-    """Returns the trajectory of each window of an epoch, int64 (n,); every timestep counts about alike."""
-    counts = np.ceil(trajectories.lengths() / config.max_goal_steps).astype(np.int64)
-    return np.repeat(np.arange(len(counts)), counts)

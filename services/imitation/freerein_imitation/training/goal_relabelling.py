@@ -12,7 +12,7 @@ from torch import Tensor
 
 from freerein.learning.encoders import FrameTensors
 from freerein.learning.trajectories import Trajectories
-from freerein_imitation.training.joined_trajectories import frames_at, joined
+from freerein_imitation.training.joined_trajectories import joined
 from freerein_imitation.training.previous_actions import previous_actions
 
 _SLICES_PER_WINDOW = 8
@@ -116,7 +116,7 @@ def sample_slices(
         starts.append(offset + rng.integers(size - sampled))
         offset += size
     arrays = (joined(parts, device) for parts in (actions, previous, starts, lengths))
-    return RelabelledSlices(frames_at(trajectories, windows, device), *arrays)
+    return RelabelledSlices(trajectories.frames_at(windows, device), *arrays)
 
 
 def sample_recognizer_batch(
@@ -145,4 +145,4 @@ def sample_recognizer_batch(
         places.append((item, chosen))
     numbers = np.repeat(np.asarray(items, np.int64), 2 * _ANCHORS_PER_TRAJECTORY)
     timesteps = joined([chosen for _, chosen in places], device)
-    return RecognizerBatch(frames_at(trajectories, places, device), timesteps, torch.from_numpy(numbers).to(device))
+    return RecognizerBatch(trajectories.frames_at(places, device), timesteps, torch.from_numpy(numbers).to(device))

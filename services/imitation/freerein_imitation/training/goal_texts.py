@@ -65,10 +65,7 @@ class GoalTextDataset:
         items = np.searchsorted(self._ends, timesteps, side="right")
         places = list(zip(items.tolist(), (timesteps - self._ends[items]).tolist(), strict=True))  # from each end
         goal_texts = self.trajectories.goal_texts
-        frames = {
-            camera: _stack([arrays[item][t] for item, t in places], device)
-            for camera, arrays in self.trajectories.frames.items()
-        }
+        frames = self.trajectories.frames_at([(item, np.array([t])) for item, t in places], device)
         texts = _stack([self.codes[goal_texts[item]] for item, _ in places], device)
         return TimestepBatch(frames, texts, _stack([self.trajectories.actions[item][t] for item, t in places], device))
 

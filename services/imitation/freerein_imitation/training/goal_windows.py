@@ -14,7 +14,7 @@ from torch import Tensor
 
 from freerein.learning.encoders import FrameTensors
 from freerein.learning.trajectories import Trajectories
-from freerein_imitation.training.joined_trajectories import frames_at, joined
+from freerein_imitation.training.joined_trajectories import joined
 from freerein_imitation.training.previous_actions import previous_actions
 
 Places = npt.NDArray[np.int64]
@@ -141,7 +141,7 @@ def sample_windows(
     executed = [np.asarray(trajectories.actions[item]) for item, _ in places]
     odometers = [np.cumsum(each, axis=0, dtype=np.float32) - each.astype(np.float32) for each in executed]
     return GoalWindows(
-        frames=frames_at(trajectories, places, device),
+        frames=trajectories.frames_at(places, device),
         timesteps=np.concatenate([at for _, at in places]),
         trajectories=np.repeat([item for item, _ in places], [len(at) for _, at in places]),
         actions=joined([each[at] for each, (_, at) in zip(executed, places, strict=True)], device),

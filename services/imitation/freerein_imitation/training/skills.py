@@ -292,7 +292,8 @@ class SkillsLearner(Learner[SkillsNetwork]):
         """Returns places of the hand in all training frames, by trajectory: float32 (T, 2)."""
 
         def found(item: int, at: Ints) -> Tensor:
-            return network.hand(self._pixels(network, np.full(len(at), item), at))
+            hands: Tensor = network.hand(self._pixels(network, np.full(len(at), item), at))
+            return hands
 
         if "hands" not in self._found:
             self._found["hands"] = [
@@ -328,11 +329,8 @@ class SkillsLearner(Learner[SkillsNetwork]):
 
     def _frames(self, trajectory: Ints, timestep: Ints) -> dict[str, Tensor]:
         """Returns frames uint8 (N, H, W, C), by camera."""
-        places = list(zip(trajectory.tolist(), timestep.tolist(), strict=True))
-        return {
-            camera: self._tensor(np.stack([arrays[item][at] for item, at in places]))
-            for camera, arrays in self.demonstrations.frames.items()
-        }
+        places = [(item, slice(at, at + 1)) for item, at in zip(trajectory.tolist(), timestep.tolist(), strict=True)]
+        return self.demonstrations.frames_at(places, self.device)
 
     def _pixels(self, network: SkillsNetwork, trajectory: Ints, timestep: Ints) -> Tensor:
         return network.pixels(self._frames(trajectory, timestep))

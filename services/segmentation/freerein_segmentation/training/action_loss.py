@@ -109,10 +109,7 @@ class _Timesteps:
         items = np.searchsorted(self._ends, rows, side="right")
         times = rows - np.concatenate([[0], self._ends])[items]
         places = list(zip(items.tolist(), times.tolist(), strict=True))
-        frames = {
-            camera: torch.from_numpy(np.stack([arrays[item][t] for item, t in places])).to(device)
-            for camera, arrays in self._seen.frames.items()
-        }
+        frames = self._seen.frames_at([(item, slice(t, t + 1)) for item, t in places], device)
         actions = torch.from_numpy(np.stack([self._seen.actions[item][t] for item, t in places])).to(device)
         labels = self._labels[rows]
         return frames, actions, torch.from_numpy(np.where(labels < 0, self._none, labels)).to(device)

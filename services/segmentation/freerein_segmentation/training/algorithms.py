@@ -11,21 +11,20 @@ from typing import TYPE_CHECKING, TypeAlias
 from freerein_segmentation.objectives import OBJECTIVES
 from freerein_segmentation.objectives.set_likelihood import set_likelihood
 from freerein_segmentation.training.self_training import self_training
-from freerein_segmentation.training.tag_stage import TagStage
 
 if TYPE_CHECKING:
-    from freerein_segmentation.training.learner import SegmentationLearner
+    from freerein_segmentation.training.learner import SegmentationLearner, TagStage
 
-Algorithm: TypeAlias = Callable[["SegmentationLearner"], tuple[TagStage, ...]]
+Algorithm: TypeAlias = Callable[["SegmentationLearner"], tuple["TagStage", ...]]
 
 
-def objective_alone(learner: "SegmentationLearner") -> tuple[TagStage, ...]:
+def objective_alone(learner: "SegmentationLearner") -> tuple["TagStage", ...]:
     """Returns one stage, of the objective."""
     config = learner.config
     return (learner.stage("objective", config.steps, OBJECTIVES[config.objective], context=config.context),)
 
 
-def objective_then_set_likelihood(learner: "SegmentationLearner") -> tuple[TagStage, ...]:
+def objective_then_set_likelihood(learner: "SegmentationLearner") -> tuple["TagStage", ...]:
     """Returns a stage of the objective, which finds where skills are, and one of the likelihood of the sets.
 
     The objective, such as `lse_per_timestep`, is lowest where all tags have equal shares of a trajectory; the set

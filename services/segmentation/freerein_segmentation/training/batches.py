@@ -56,14 +56,10 @@ def gather(
         for item, phase in zip(items, phases, strict=True)
     ]
     places = list(zip(items, times, strict=True))
-    frames = {
-        camera: torch.from_numpy(np.concatenate([arrays[item][at] for item, at in places])).to(device)
-        for camera, arrays in trajectories.frames.items()
-    }
     actions = [trajectories.actions[item][at] for item, at in places]
     tags = [[skill in trajectories.skills[item] for skill in spec.skills] for item in items]
     return TrajectoryBatch(
-        frames,
+        trajectories.frames_at(places, device),
         torch.from_numpy(np.concatenate(actions)).to(device),
         torch.tensor([len(each) for each in actions], device=device),
         torch.tensor(tags, device=device),

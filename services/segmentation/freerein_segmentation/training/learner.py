@@ -13,7 +13,7 @@ from freerein.learning.augmentation import agreement, augment_camera, delayed
 from freerein.learning.fit import FitResult
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
-from freerein.learning.learner import Items, Learner, Losses, stage_at, unchanged
+from freerein.learning.learner import Items, Learner, Losses, Stage, stage_at, unchanged
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein_segmentation.model import Context, ModelSpec, SegmentationNetwork
@@ -22,7 +22,6 @@ from freerein_segmentation.training.algorithms import ALGORITHMS
 from freerein_segmentation.training.batches import TrajectoryBatch, gather
 from freerein_segmentation.training.confidence import CONFIDENCE, Confidence
 from freerein_segmentation.training.config import SegmentationConfig
-from freerein_segmentation.training.tag_stage import TagStage
 
 State = TrainState[SegmentationNetwork]
 
@@ -30,6 +29,19 @@ _NORMALISATION_FRAMES = 2000
 
 BatchLoss: TypeAlias = Callable[[State, TrajectoryBatch, Tensor, Tensor], Tensor]
 """Given a state, a batch, scores f_t(k), float (B, T, K), and their mask, bool (B, T), returns losses, float (B,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TagStage(Stage[SegmentationNetwork]):
+    """A stage, and how held-out trajectories are judged after its steps.
+
+    Attributes:
+        objective: Loss of their tags.
+        context: Future timesteps, one stride apart, that scores depend on, in training, too.
+    """
+
+    objective: Objective
+    context: Context
 
 
 @dataclass(frozen=True, eq=False)

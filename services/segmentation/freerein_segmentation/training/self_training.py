@@ -25,12 +25,11 @@ from freerein_segmentation.objectives.labels import label_cross_entropy
 from freerein_segmentation.objectives.set_likelihood import set_likelihood
 from freerein_segmentation.training.batches import TrajectoryBatch
 from freerein_segmentation.training.confidence import CONFIDENCE
-from freerein_segmentation.training.tag_stage import TagStage
 from freerein_segmentation.training.viterbi import viterbi
 
 if TYPE_CHECKING:
     from freerein_segmentation.training.config import SegmentationConfig
-    from freerein_segmentation.training.learner import SegmentationLearner
+    from freerein_segmentation.training.learner import SegmentationLearner, TagStage
 
 _ACTION_TRAJECTORIES = 400
 """Most trajectories that an action model is fitted to."""
@@ -43,7 +42,7 @@ _STEPS, _BATCH, _LR = 300, 256, 3e-3
 _LOG_SHARE = "log_share"
 
 
-def self_training(learner: "SegmentationLearner") -> tuple[TagStage, ...]:
+def self_training(learner: "SegmentationLearner") -> tuple["TagStage", ...]:
     """Returns a stage of the objective, then rounds.
 
     As a round begins, the network is copied: the teacher, which sees as much of the future as the network did until
