@@ -25,14 +25,13 @@ import numpy.typing as npt
 import orjson
 
 from benchmarks.bare_policy import SEQ_BYTES, STREAM, grpc_stream
-from benchmarks.imitation_robot import CONTROL, NEVER_STEPS, Observe, Scene, control_stream, publish_scene
+from benchmarks.imitation_robot import CONTROL, NEVER_STEPS, Observe, Scene, control_stream, policy_step, publish_scene
 from benchmarks.report import Ratio, Results
 from benchmarks.servers import rest_call, rest_client, run_server, run_service
 from benchmarks.timing import Call, Effort, Latencies, measure_latencies
 from freerein import wire
 from freerein.clients import Channel, ImitationClient
 from freerein.types.imitation import ActRequest
-from freerein_imitation.methods import METHODS
 
 _SIDES_PX = (64, 224)
 _INTERFACES = ("control-bytes", "control", "grpc", "json")
@@ -61,12 +60,18 @@ async def _measure(scene: Scene, address: str, url: str, effort: Effort) -> Resu
         observe = await opened.enter_async_context(control_stream(client, scene))
         request = ActRequest(scene.observation(), scene.goal_image(), max_steps_per_goal=NEVER_STEPS, model=scene.ref)
 
+        step = policy_step(scene)
+
+        async def torch() -> Actions:
+            actions: Actions = step().actions[0]
+            return actions
+
         async def grpc() -> Actions:
             actions: Actions = (await client.act(request)).actions
             return actions
 
         json = rest_call(rest, "/v1/act", orjson.dumps(wire.to_json(request)), _parse_actions)
-        decoded: dict[str, Act] = {"torch": _torch_call(scene), "grpc": grpc, "json": json}
+        decoded: dict[str, Act] = {"torch": torch, "grpc": grpc, "json": json}
         await _check_same_actions(decoded, observe)
         bare = await _open_bare(opened, scene, address)
         times = await measure_latencies({"control": observe, **decoded, **bare}, effort)
@@ -110,23 +115,6 @@ async def _check_same_actions(interfaces: dict[str, Act], observe: Observe) -> N
     for name, act in interfaces.items():
         if chunk is None or not np.allclose(await act(), chunk.actions, atol=_TOLERANCE):
             raise RuntimeError(f"All interfaces must return the same actions; {name} and the stream differ.")
-
-
-def _torch_call(scene: Scene) -> Act:
-    """Returns the model call as the service's core makes it, with the memory passed on."""
-    policy = METHODS.load(scene.folder, "cpu")
-    (camera,) = policy.spec.cameras
-    frames, goals = {camera.name: scene.frame[None]}, policy.encode_goals({camera.name: scene.goal[None]})
-    previous, recurrent = policy.spec.action.no_action()[None], np.zeros((1, policy.spec.recurrent_size), np.float32)
-
-    async def act() -> Actions:
-        nonlocal recurrent
-        step = policy.step(frames, goals, previous, recurrent)
-        recurrent = step.recurrent
-        actions: Actions = step.actions[0]
-        return actions
-
-    return act
 
 
 def _parse_actions(reply: Any) -> Actions:

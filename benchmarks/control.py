@@ -8,7 +8,6 @@ message, and the bare server falls behind; at 10 Hz it keeps up.
 """
 
 from contextlib import AsyncExitStack
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from statistics import median
@@ -18,13 +17,12 @@ import numpy as np
 
 from benchmarks import load_generator
 from benchmarks.bare_policy import SEQ_BYTES, STREAM
-from benchmarks.imitation_robot import CONTROL, Scene, control_stream, publish_scene
+from benchmarks.imitation_robot import CONTROL, Scene, control_stream, policy_step, publish_scene
 from benchmarks.load_generator import Load, LoadResult
 from benchmarks.report import Ratio, Results
 from benchmarks.servers import run_server, run_service
 from benchmarks.timing import Effort, Latencies, Workload, measure_rates, repeat_function, repeat_together
 from freerein.clients import Channel, ImitationClient
-from freerein_imitation.methods import METHODS
 
 _SIDE_PX = 64
 _WAITING_ROBOTS, _MEASURED_BATCH = 16, 8
@@ -67,14 +65,7 @@ async def _measure_batching(effort: Effort) -> Results:
 
 
 def _model(name: str, scene: Scene, size: int) -> Workload:
-    policy = METHODS.load(scene.folder, "cpu")
-    (camera,) = policy.spec.cameras
-    frames = {camera.name: np.repeat(scene.frame[None], size, axis=0)}
-    goals = np.repeat(policy.encode_goals({camera.name: scene.goal[None]}), size, axis=0)
-    previous = np.zeros((size, policy.spec.action.size), np.float32)
-    recurrent = np.zeros((size, policy.spec.recurrent_size), np.float32)
-    call = partial(policy.step, frames, goals, previous, recurrent)
-    return Workload(name, repeat_function(call), size, "observations")
+    return Workload(name, repeat_function(policy_step(scene, size)), size, "observations")
 
 
 async def _measure_load(effort: Effort) -> Results:

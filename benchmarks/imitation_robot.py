@@ -17,8 +17,9 @@ from freerein.api.imitation.v1 import imitation_pb2
 from freerein.clients import ImitationClient
 from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ControlRequest, ControlResponse, Hello, Observed
+from freerein_imitation.methods import METHODS
 from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
-from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.policy import ControlSpec, PolicyOutput
 
 CONTROL = "/freerein.api.imitation.v1.ImitationService/Control"
 NEVER_STEPS = 2**31
@@ -102,6 +103,23 @@ def publish_scene(side_px: int, data_dir: Path, *, width: int = _WIDTH) -> Scene
     card = {"method": "goal_conditioned", **control.to_card()}
     ref = publish(network, data_dir, "imitation", name=f"{side_px}px", card=card)
     return Scene(ref, data_dir / "models" / "imitation" / ref.name / ref.version, frames[0], frames[1])
+
+
+def policy_step(scene: Scene, size: int = 1) -> Callable[[], PolicyOutput]:
+    """Returns the model call as the service's core makes it, on so many of the scene's frames; memory is passed on."""
+    policy = METHODS.load(scene.folder, "cpu")
+    frames = {_CAMERA: np.repeat(scene.frame[None], size, axis=0)}
+    goals = np.repeat(policy.encode_goals({_CAMERA: scene.goal[None]}), size, axis=0)
+    previous = np.repeat(policy.spec.action.no_action()[None], size, axis=0)
+    recurrent = np.zeros((size, policy.spec.recurrent_size), np.float32)
+
+    def step() -> PolicyOutput:
+        nonlocal recurrent
+        output = policy.step(frames, goals, previous, recurrent)
+        recurrent = output.recurrent
+        return output
+
+    return step
 
 
 @asynccontextmanager
