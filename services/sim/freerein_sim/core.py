@@ -11,12 +11,12 @@ from typing import Any, TypeVar
 from freerein.errors import (
     AlreadyExists,
     Internal,
-    InvalidInput,
     NotFound,
     Overloaded,
     SessionNotFound,
     Unavailable,
     WorkerLost,
+    must_be,
 )
 from freerein.types import sim
 from freerein_sim.session import Session, session_not_found, with_defaults
@@ -161,10 +161,8 @@ class SimCore:
         """Yields trajectories in order, computed a few ahead; closing the iterator cancels the rest."""
         task = self._task(request.task)
         if not (1 <= request.count <= MAX_COUNT and request.first <= request.count):
-            raise InvalidInput(
-                f"`count` must be 1 to {MAX_COUNT} and `first` at most `count`; got {request.count}, {request.first}.",
-                field="count",
-            )
+            got = f"{request.count}, {request.first}"
+            raise must_be("count", f"1 to {MAX_COUNT} and `first` at most `count`", got)
         cameras = request.cameras or (task.cameras[0].name,)
         check_frames(task, cameras, height=request.height, width=request.width, images=task.max_episode_steps)
         making: deque[asyncio.Task[sim.DemonstrateResponse]] = deque()
@@ -185,7 +183,7 @@ class SimCore:
         """Returns recipes of a task."""
         self._task(request.task)
         if not 1 <= request.count <= MAX_RECIPES:
-            raise InvalidInput(f"`count` must be 1 to {MAX_RECIPES}; got {request.count}.", field="count")
+            raise must_be("count", f"1 to {MAX_RECIPES}", request.count)
         worker = await self._pool.place(0)
         return await worker.call(request, sim.DrawRecipesResponse)
 

@@ -5,7 +5,7 @@ import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from freerein.errors import FailedPrecondition, InvalidInput, SessionNotFound, StepOutOfOrder
+from freerein.errors import FailedPrecondition, SessionNotFound, StepOutOfOrder, must_be
 from freerein.types import sim
 from freerein_sim.workers.protocol import MAX_ENVS, check_frames
 from freerein_sim.workers.worker import Worker
@@ -76,17 +76,12 @@ def with_defaults(request: sim.CreateSessionRequest, task: sim.Task) -> sim.Crea
     check_frames(task, (), height=request.height, width=request.width, images=0)
     num_envs, lease_s = request.num_envs or 1, request.lease_s or DEFAULT_LEASE_S
     if not 1 <= num_envs <= MAX_ENVS:
-        raise InvalidInput(f"`num_envs` must be 1 to {MAX_ENVS}; got {num_envs}.", field="num_envs")
+        raise must_be("num_envs", f"1 to {MAX_ENVS}", num_envs)
     if not 0 < lease_s <= MAX_LEASE_S:
-        raise InvalidInput(
-            f"`lease_s` must be above 0 and at most {MAX_LEASE_S:.0f} seconds; got another.", field="lease_s"
-        )
+        raise must_be("lease_s", f"above 0 and at most {MAX_LEASE_S:.0f} seconds", f"{lease_s:g}")
     max_episode_steps = request.max_episode_steps or task.max_episode_steps
     if max_episode_steps > MAX_EPISODE_STEPS:
-        raise InvalidInput(
-            f"`max_episode_steps` must be at most {MAX_EPISODE_STEPS}; got {max_episode_steps}.",
-            field="max_episode_steps",
-        )
+        raise must_be("max_episode_steps", f"at most {MAX_EPISODE_STEPS}", max_episode_steps)
     seed = secrets.randbits(_SEED_BITS) if request.seed is None else request.seed
     return replace(request, num_envs=num_envs, lease_s=lease_s, seed=seed, max_episode_steps=max_episode_steps)
 

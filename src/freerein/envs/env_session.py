@@ -11,7 +11,15 @@ from gymnasium import spaces
 
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.envs.leased_session import LeasedSession
-from freerein.errors import FailedPrecondition, InvalidInput, Overloaded, SessionNotFound, StepOutOfOrder, WorkerLost
+from freerein.errors import (
+    FailedPrecondition,
+    InvalidInput,
+    Overloaded,
+    SessionNotFound,
+    StepOutOfOrder,
+    WorkerLost,
+    must_be,
+)
 from freerein.ports import PORTS
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import (
@@ -246,25 +254,16 @@ def _check_options(render_mode: str | None, action_repeat: int, unknown: Mapping
             hint="help(freerein.envs.env_session.SessionOptions) describes them.",
         )
     if render_mode not in (None, "rgb_array"):
-        raise InvalidInput(
-            "`render_mode` must be None or rgb_array; got another one.", field="render_mode", hint="Ask for rgb_array."
-        )
+        raise must_be("render_mode", "None or rgb_array", "another one", hint="Ask for rgb_array.")
     if action_repeat < 1:
-        raise InvalidInput(
-            f"`action_repeat` must be at least 1 timestep; got {action_repeat}.",
-            field="action_repeat",
-            hint="Leave it out for 1.",
-        )
+        raise must_be("action_repeat", "at least 1 timestep", action_repeat, hint="Leave it out for 1.")
 
 
 def _observation_space(task: Task, cameras: tuple[str, ...], height: int, width: int) -> spaces.Space[Any]:
     by_name = {camera.name: camera for camera in task.cameras}
     if unknown := [name for name in cameras if name not in by_name]:
-        raise InvalidInput(
-            f"`cameras` must be among {', '.join(by_name)}; got {len(unknown)} that are not.",
-            field="cameras",
-            hint="Name cameras of the task, or none for its first.",
-        )
+        rule, got = f"among {', '.join(by_name)}", f"{len(unknown)} that are not"
+        raise must_be("cameras", rule, got, hint="Name cameras of the task, or none for its first.")
     boxes: dict[str, spaces.Space[Any]] = {name: _box(by_name[name], height, width) for name in cameras}
     return spaces.Dict(boxes) if len(boxes) > 1 else boxes[cameras[0]]
 

@@ -10,7 +10,7 @@ from gymnasium.vector.utils import batch_space
 
 from freerein.envs.env_session import ADDRESS, EnvSession, Observation, Pixels, SessionOptions, frames_of
 from freerein.envs.sim_env import METADATA, reset_info, rewards_of, step_info
-from freerein.errors import InvalidInput
+from freerein.errors import must_be
 from freerein.types.sim import CameraFrames, StepResponse
 
 _MODES = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)
@@ -182,22 +182,16 @@ def _with_finals(frames: CameraFrames, reply: StepResponse, rows: Flags) -> Came
 def _mode(mode: object) -> AutoresetMode:
     found = next((each for each in _MODES if mode in (each, each.value, each.name)), None)
     if found is None:
-        raise InvalidInput(
-            f"`autoreset_mode` must be {' or '.join(each.name for each in _MODES)}; got another one.",
-            field="autoreset_mode",
-            hint="Leave it out for SAME_STEP, by which a step needs one call.",
-        )
+        hint = "Leave it out for SAME_STEP, by which a step needs one call."
+        raise must_be("autoreset_mode", " or ".join(each.name for each in _MODES), "another one", hint=hint)
     return found
 
 
 def _timesteps(steps: object, options: SessionOptions) -> int:
     """Returns the timesteps of an episode of so many steps."""
     if "episode_timesteps" in options or not isinstance(steps, int) or steps < 1:
-        raise InvalidInput(
-            "`max_episode_steps` must be at least 1 step, without `episode_timesteps` beside it; got something else.",
-            field="max_episode_steps",
-            hint="Leave one of them out.",
-        )
+        rule = "at least 1 step, without `episode_timesteps` beside it"
+        raise must_be("max_episode_steps", rule, "something else", hint="Leave one of them out.")
     return steps * options.get("action_repeat", 1)
 
 
@@ -205,9 +199,6 @@ def _masked(mask: npt.ArrayLike, num_envs: int) -> tuple[int, ...]:
     """Returns the indices where a reset mask is true."""
     array = np.asarray(mask)
     if array.shape != (num_envs,) or array.dtype != np.bool_ or not array.any():
-        raise InvalidInput(
-            f"`reset_mask` must be bool ({num_envs},) with a true value; got {array.dtype} {array.shape}.",
-            field="reset_mask",
-            hint="Leave it out to reset all environments.",
-        )
+        rule, got = f"bool ({num_envs},) with a true value", f"{array.dtype} {array.shape}"
+        raise must_be("reset_mask", rule, got, hint="Leave it out to reset all environments.")
     return tuple(int(index) for index in np.flatnonzero(array))

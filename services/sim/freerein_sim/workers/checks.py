@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from freerein.errors import InvalidInput
+from freerein.errors import must_be
 from freerein.types.sim import CheckRequest, CheckResponse
 from freerein_sim.worlds.predicates import StatePredicate, States
 from freerein_sim.worlds.world import TaskDefinition
@@ -16,19 +16,12 @@ def check(task: TaskDefinition, request: CheckRequest) -> CheckResponse:
     _check_states(task, request.states, field="states")
     if not predicate.needs_reference:
         if request.references is not None:
-            raise InvalidInput(
-                f"`references` must be empty: {predicate.name} compares with none; got some.",
-                field="references",
-                hint="Leave it out.",
-            )
+            raise must_be("references", f"empty: {predicate.name} compares with none", "some", hint="Leave it out.")
         return CheckResponse(predicate.holds(request.states))
     if request.references is None or request.references.shape != request.states.shape:
-        raise InvalidInput(
-            f"`references` must be of the shape of `states`, {request.states.shape}; got "
-            f"{'none' if request.references is None else request.references.shape}.",
-            field="references",
-            hint=f"{predicate.name} compares each state with its reference.",
-        )
+        got = "none" if request.references is None else request.references.shape
+        hint = f"{predicate.name} compares each state with its reference."
+        raise must_be("references", f"of the shape of `states`, {request.states.shape}", got, hint=hint)
     _check_states(task, request.references, field="references")
     return CheckResponse(predicate.holds(request.states, request.references))
 
@@ -37,11 +30,8 @@ def _predicate(task: TaskDefinition, name: str) -> StatePredicate:
     for predicate in task.predicates:
         if predicate.name == name:
             return predicate
-    raise InvalidInput(
-        f"`predicate` must be one of the task's {len(task.predicates)}; got another name.",
-        field="predicate",
-        hint=f"There are {', '.join(each.name for each in task.predicates) or 'none'}.",
-    )
+    hint = f"There are {', '.join(each.name for each in task.predicates) or 'none'}."
+    raise must_be("predicate", f"one of the task's {len(task.predicates)}", "another name", hint=hint)
 
 
 def _check_states(task: TaskDefinition, states: States, *, field: str) -> None:
@@ -54,8 +44,5 @@ def _check_states(task: TaskDefinition, states: States, *, field: str) -> None:
         got = "numbers that are not finite"
     else:
         return
-    raise InvalidInput(
-        f"`{field}` must be finite float64 (N, T, {size}) with 1 to {MAX_ROWS} rows N * T; got {got}.",
-        field=field,
-        hint="Send true states as they are in `truth`.",
-    )
+    rule = f"finite float64 (N, T, {size}) with 1 to {MAX_ROWS} rows N * T"
+    raise must_be(field, rule, got, hint="Send true states as they are in `truth`.")

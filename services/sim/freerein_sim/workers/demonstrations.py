@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, must_be
 from freerein.types.common import Camera, Trajectory
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, DrawRecipesRequest, DrawRecipesResponse, Recipe
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode, record_expert
@@ -76,11 +76,9 @@ def _skills(
     """Returns what the expert chooses from, as `_choice`; nothing for random actions."""
     if request.behaviour == "random":
         if request.skills or request.min_skills or request.max_skills:
-            raise InvalidInput(
-                "`skills`, `min_skills` and `max_skills` must be empty when behaviour is random; got some.",
-                field="skills",
-                hint="Random actions execute no skills: leave them out, or ask for the expert.",
-            )
+            hint = "Random actions execute no skills: leave them out, or ask for the expert."
+            names = "`skills`, `min_skills` and `max_skills`"
+            raise must_be(names, "empty when behaviour is random", "some", field="skills", hint=hint)
         return (), (0, 0)
     return _choice(task, spec, request)
 
@@ -104,9 +102,7 @@ def _views(spec: WorldSpec, request: DemonstrateRequest) -> tuple[Camera, ...]:
     """Returns the cameras to record, with the one size at which they are recorded."""
     views = sized_cameras(spec, request.cameras or (spec.cameras[0].name,), height=request.height, width=request.width)
     if len({(view.height, view.width) for view in views}) > 1:
-        raise InvalidInput(
-            "`height` and `width` must be given where cameras differ in size; got none.",
-            field="height",
-            hint="All cameras of a trajectory are recorded at one size.",
-        )
+        hint = "All cameras of a trajectory are recorded at one size."
+        rule = "given where cameras differ in size"
+        raise must_be("`height` and `width`", rule, "none", field="height", hint=hint)
     return views

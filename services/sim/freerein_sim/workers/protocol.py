@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
 from freerein import wire
-from freerein.errors import InvalidInput, TooLarge
+from freerein.errors import InvalidInput, TooLarge, must_be
 from freerein.types import sim
 from freerein.types.common import Error
 
@@ -81,9 +81,8 @@ def check_frames(task: sim.Task, cameras: Sequence[str], *, height: int, width: 
     A height or width of 0 means the cameras' own; `images` is the greatest number of images per camera in the reply.
     """
     if not (0 <= height <= MAX_SIZE_PX and 0 <= width <= MAX_SIZE_PX):
-        raise InvalidInput(
-            f"`height` and `width` must be at most {MAX_SIZE_PX} pixels; got {height} and {width}.", field="height"
-        )
+        rule, got = f"at most {MAX_SIZE_PX} pixels", f"{height} and {width}"
+        raise must_be("`height` and `width`", rule, got, field="height")
     frame_bytes = sum(
         images * (height or camera.height) * (width or camera.width) * camera.channels
         for camera in task.cameras

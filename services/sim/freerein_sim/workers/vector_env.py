@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, must_be
 from freerein.types.common import Camera
 from freerein.types.sim import (
     CameraFrames,
@@ -189,7 +189,7 @@ class VectorEnv:
         state = snapshots.decode(snapshot)
         self._check_compatible(state)
         if any(env.steps >= self._max_steps for env in state.envs):
-            raise InvalidInput("`snapshot` must be of episodes that go on; got one that is over.", field="snapshot")
+            raise must_be("snapshot", "of episodes that go on", "one that is over")
         self._restore_worlds(state.envs)
         self._rngs = [env.rng for env in state.envs]
         self._steps = np.array([env.steps for env in state.envs], np.int64)
@@ -288,11 +288,8 @@ class VectorEnv:
     def _recipes(self, recipes: Sequence[Recipe]) -> Sequence[Recipe]:
         """Returns a recipe for each environment."""
         if recipes and len(recipes) != self.num_envs:
-            raise InvalidInput(
-                f"`recipes` must be one for each of the {self.num_envs} environments, or none; got {len(recipes)}.",
-                field="recipes",
-                hint="Leave it empty for the task's own.",
-            )
+            rule = f"one for each of the {self.num_envs} environments, or none"
+            raise must_be("recipes", rule, len(recipes), hint="Leave it empty for the task's own.")
         if any(len(recipe.skills) > MAX_RECIPE for recipe in recipes):
             raise InvalidInput(
                 f"A recipe must have at most {MAX_RECIPE} skills; got a longer one.",
@@ -324,11 +321,7 @@ class VectorEnv:
 
 def _check_action_repeat(action_repeat: int) -> None:
     if not 1 <= action_repeat <= MAX_ACTION_REPEAT:
-        raise InvalidInput(
-            f"`action_repeat` must be 1 to {MAX_ACTION_REPEAT} timesteps; got {action_repeat}.",
-            field="action_repeat",
-            hint="Repeat the step.",
-        )
+        raise must_be("action_repeat", f"1 to {MAX_ACTION_REPEAT} timesteps", action_repeat, hint="Repeat the step.")
 
 
 def _generators(seed: int, num_envs: int) -> list[np.random.Generator]:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from freerein.errors import InvalidInput
+from freerein.errors import must_be
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,8 @@ def check_conditions(declared: Sequence[Condition], chosen: Sequence[str]) -> fr
         got = f"several of the group {twice[0]}"
     else:
         return frozenset(chosen)
-    raise InvalidInput(
-        f"`conditions` must be among the task's, at most one of each group; got {got}.",
-        field="conditions",
-        hint=f"There are {_listed(declared) or 'none'}.",
-    )
+    hint = f"There are {_listed(declared) or 'none'}."
+    raise must_be("conditions", "among the task's, at most one of each group", got, hint=hint)
 
 
 def _listed(declared: Sequence[Condition]) -> str:

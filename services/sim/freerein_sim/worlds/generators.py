@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 
-from freerein.errors import InvalidInput
+from freerein.errors import must_be
 
 _LAYOUT = struct.Struct("<16s16sBI")  # state, inc, has_uint32, uinteger
 PACKED_BYTES = _LAYOUT.size
@@ -34,11 +34,8 @@ def unpack(packed: bytes) -> np.random.Generator:
 
 def _bits(packed: bytes) -> np.random.PCG64:
     if len(packed) != PACKED_BYTES or packed[16] % 2 == 0 or packed[32] > 1:  # an even increment may repeat one number
-        raise InvalidInput(
-            f"The state of a generator must be {PACKED_BYTES} bytes that hold a PCG64; got others.",
-            field="snapshot",
-            hint="Send the snapshot back unchanged.",
-        )
+        rule, hint = f"{PACKED_BYTES} bytes that hold a PCG64", "Send the snapshot back unchanged."
+        raise must_be("The state of a generator", rule, "others", field="snapshot", hint=hint)
     state, inc, has_uint32, uinteger = _LAYOUT.unpack(packed)
     bits = np.random.PCG64(0)
     bits.state = {

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 import freerein.types.sim
-from freerein.errors import InvalidInput, Unimplemented
+from freerein.errors import InvalidInput, Unimplemented, must_be
 from freerein.types.common import ActionSpec, Camera, check_name
 from freerein_sim.worlds import camera_effects
 from freerein_sim.worlds.conditions import Condition
@@ -257,12 +257,8 @@ def check_actions(spec: ActionSpec, actions: npt.NDArray[Any], *, batch: tuple[i
         got = f"{wrong} of {actions.size} numbers outside"
     else:
         return
-    raise InvalidInput(
-        f"`actions` must be {spec.dtype} {shape}, finite and within [{low:g}, {high:g}]: {', '.join(spec.names)}; "
-        f"got {got}.",
-        field="actions",
-        hint="See the task's `action` in ListTasks.",
-    )
+    rule = f"{spec.dtype} {shape}, finite and within [{low:g}, {high:g}]: {', '.join(spec.names)}"
+    raise must_be("actions", rule, got, hint="See the task's `action` in ListTasks.")
 
 
 def check_view(spec: WorldSpec, camera: str, *, height: int, width: int) -> None:
