@@ -5,14 +5,12 @@
 An arm that was killed resumes from its newest checkpoint. The lock of its folder excludes a second runner.
 """
 
-import fcntl
 import json
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -21,7 +19,7 @@ from experiments.workbench import results
 from experiments.workbench.arms import Arm, Experiment, is_current, world_version
 from experiments.workbench.cache_paths import cache_path
 from freerein.atomic_files import make_folder, write_atomic
-from freerein.jobs.child import STOPPED
+from freerein.jobs.child import STOPPED, locked
 
 _POLL_S = 0.1
 
@@ -85,30 +83,15 @@ def _has_result(name: str, experiment: Experiment, arm: Arm, places: Places) -> 
 def _run_locked(name: str, experiment: Experiment, arm: Arm, places: Places, should_stop: Callable[[], bool]) -> Ending:
     """Starts or resumes the child process of an arm, unless another runner has finished it meanwhile."""
     folder = arm_folder(name, experiment, arm, places)
-    with _locked(folder, should_stop) as lock:
-        if lock is None:
+    make_folder(folder)
+    with locked(folder, should_stop) as lock:
+        if lock is None or should_stop():
             return "stopped"
         if _has_result(name, experiment, arm, places):
             return "present"
         job = {"experiment": name, "arm": arm.name, "results": str(places.results / name), "work": str(places.work)}
         write_atomic(folder / "config.json", json.dumps(job).encode())
         return _run_child(folder, lock, should_stop)
-
-
-@contextmanager
-def _locked(folder: Path, should_stop: Callable[[], bool]) -> Iterator[int | None]:
-    """Yields the lock of an arm's folder, once other runners and left-over children have let go; None when stopped."""
-    make_folder(folder)
-    with (folder / "lock").open("ab") as lock:
-        while not should_stop():
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                time.sleep(_POLL_S)
-            else:
-                yield lock.fileno()
-                return
-        yield None
 
 
 def _run_child(folder: Path, lock: int, should_stop: Callable[[], bool]) -> Ending:

@@ -5,21 +5,20 @@ and exits; if the job was cancelled, its folder then holds a file `cancelled`.
 """
 
 import errno
-import fcntl
 import logging
 import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Literal
 
 from freerein.atomic_files import out_of_storage
 from freerein.errors import NotFound
 from freerein.fork_server import ChildProcess, Program, StartChild, spawn
-from freerein.jobs.child import OUT_OF_STORAGE, PERMANENT_FAILURE, STOPPED
+from freerein.jobs.child import OUT_OF_STORAGE, PERMANENT_FAILURE, STOPPED, locked
 from freerein.jobs.json_lines import LineReader
 from freerein.jobs.metrics import metric_row
 from freerein.jobs.retry import NO_PAUSE, AttemptResult, Pause
@@ -120,7 +119,9 @@ class AttemptRunner:
     def _start(self, job_id: str, should_stop: Callable[[], StopRequest], held: ExitStack) -> ChildProcess:
         """Returns a new child process; `held` has the lock of the job's folder from then on, and the child's stdin."""
         folder = self._store.folder(job_id)
-        lock = held.enter_context(_locked(folder, should_stop))
+        lock = held.enter_context(locked(folder, should_stop))
+        if lock is None:
+            raise AttemptStopped
         for name in (CANCELLED_FILE, WAITING_FILE):
             (folder / name).unlink(missing_ok=True)
         with suppress(OSError):  # a full disk ends no job: what cannot be recorded now is recorded later
@@ -208,21 +209,6 @@ def _broken_off(job_id: str, what: str, error: OSError) -> AttemptResult:
     """Returns the end of an attempt; the next may succeed: after a pause, where the machine is short of something."""
     _log.error("an attempt was broken off", exc_info=error, extra={"job": job_id})
     return AttemptResult("killed" if error.errno in _SHORTAGES else "crashed", error=f"{what}: {error.strerror}.")
-
-
-@contextmanager
-def _locked(folder: Path, should_stop: Callable[[], StopRequest]) -> Iterator[int]:
-    """Yields the lock of a job's folder, once the child of an earlier attempt, which holds it too, has ended."""
-    with (folder / "lock").open("ab") as lock:
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if should_stop():
-                    raise AttemptStopped from None
-                time.sleep(_POLL_S)
-        yield lock.fileno()
 
 
 def _end(child: ChildProcess, timeout_s: float) -> None:

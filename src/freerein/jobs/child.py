@@ -1,9 +1,14 @@
-"""What a job's child process does: end with its parent, stop on SIGTERM, exit with a code that says how it ended."""
+"""What a job's child process does: end with its parent, stop on SIGTERM, exit with a code that says how it ended.
 
+And what its parent does before: it holds the lock of the job's folder, which the child holds, too.
+"""
+
+import fcntl
 import json
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +26,26 @@ PERMANENT_FAILURE = 2
 
 OUT_OF_STORAGE = 74
 """Exit code of such a child whose disk is full, so that its log cannot say why; BSD calls it EX_IOERR."""
+
+
+_POLL_S = 0.2
+
+
+@contextmanager
+def locked(folder: Path, should_stop: Callable[[], object]) -> Iterator[int | None]:
+    """Yields the lock of a job's folder, once other parents and left-over children have let go; None when stopped."""
+    with (folder / "lock").open("ab") as lock:
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if should_stop():
+                    yield None
+                    return
+                time.sleep(_POLL_S)
+            else:
+                yield lock.fileno()
+                return
 
 
 def run_child(folder: Path, work: Callable[[Mapping[str, Any]], bool]) -> int:
