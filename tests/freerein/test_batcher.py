@@ -235,6 +235,28 @@ async def test_closed_it_refuses_what_waits_and_what_comes(batcher: Batcher[int,
         await batcher.submit(1, timeout_s=60)
 
 
+async def test_what_a_batch_that_fails_leaves_is_refused_once_closed(wait_until: Any) -> None:
+    begun, ends = threading.Semaphore(0), threading.Semaphore(0)
+
+    def fail(_items: Sequence[int]) -> list[int]:
+        begun.release()
+        ends.acquire()
+        raise ZeroDivisionError
+
+    batcher: Batcher[int, int] = Batcher(fail, queue=4, batch=3, metrics=Metrics())
+    calls = await waiting(batcher, 0)
+    await asyncio.to_thread(begun.acquire)
+    calls += await waiting(batcher, 1, 2)
+    ends.release()
+    await asyncio.to_thread(begun.acquire)
+    closing = asyncio.create_task(asyncio.to_thread(batcher.close))
+    await asyncio.to_thread(wait_until, lambda: batcher._closed, 60)
+    ends.release()
+    failed = await asyncio.gather(*calls, return_exceptions=True)
+    assert [type(error) for error in failed] == [ModelFault, Unavailable, Unavailable]
+    await closing
+
+
 @settings(max_examples=30)
 @given(
     items=st.lists(st.tuples(st.integers(0, 12), st.sampled_from("ab"), st.booleans()), max_size=30),

@@ -13,7 +13,7 @@ import grpc
 from grpc import aio
 
 from freerein.clients import retry_policy
-from freerein.errors import FailedPrecondition, InvalidInput, must_be
+from freerein.errors import FailedPrecondition, must_be
 
 MAX_MESSAGE_BYTES = 64 * 2**20
 _NO_PROXIES = ("no_grpc_proxy", "no_proxy")
@@ -62,11 +62,9 @@ class Channel:
         self, address: str, *, token: str = "", root_certificates: bytes | None = None, keepalive_s: float = 10.0
     ) -> None:
         if not _TOKEN.fullmatch(token):
-            raise InvalidInput(
-                "The token must be printable ASCII without spaces; it has other characters.",
-                field="token",
-                hint="Give the token as the service has it in FREEREIN_TOKEN, without line breaks.",
-            )
+            hint = "Give the token as the service has it in FREEREIN_TOKEN, without line breaks."
+            rule = "printable ASCII without spaces"
+            raise must_be("The token", rule, "other characters", field="token", hint=hint)
         if not keepalive_s >= 1:
             hint = "Leave it out for 10 s."
             raise must_be("keepalive_s", "at least 1 second, or infinity for no pings", f"{keepalive_s:g}", hint=hint)

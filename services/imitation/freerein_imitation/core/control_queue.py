@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
-from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
+from freerein.errors import FailedPrecondition, InvalidInput, ServiceError, must_be
 from freerein.serving.methods import InvalidMessage
 from freerein.types.imitation import ControlRequest, Hello, Observed
 from freerein_imitation.core.inputs import elapsed_steps
@@ -159,10 +159,7 @@ class ControlQueue:
         if seq > self._last_seq:
             self._last_seq = seq
             return True
-        error = InvalidInput(
-            f"`seq` must increase; got {seq} after {self._last_seq}.",
-            field="observed.seq",
-            hint="Number observations from 0, each once; gaps are fine.",
-        )
+        hint = "Number observations from 0, each once; gaps are fine."
+        error = must_be("`seq`", f"above {self._last_seq}", seq, field="observed.seq", hint=hint)
         self._entries.append(RejectedMessage(seq, error))
         return False

@@ -100,11 +100,8 @@ def parse_previous_action(spec: PolicySpec, executed: npt.NDArray[Any] | None) -
         raise must_be("executed_actions", rule, f"{executed.dtype} {executed.shape}", hint=hint)
     low, high = action.bounds
     if not ((executed >= low) & (executed <= high)).all():  # False for NaN
-        raise InvalidInput(
-            f"`executed_actions` must be finite and in [{low:g}, {high:g}], up to {ACTION_TOLERANCE:g}; one is not.",
-            field="executed_actions",
-            hint="Scale actions as the model's spec says.",
-        )
+        rule = f"finite and in [{low:g}, {high:g}], up to {ACTION_TOLERANCE:g}"
+        raise must_be("executed_actions", rule, "others", hint="Scale actions as the model's spec says.")
     last: npt.NDArray[Any] = executed[-1] if len(executed) else none
     return last
 
@@ -123,11 +120,8 @@ def parse_robot_state(spec: PolicySpec, observation: Observation) -> npt.NDArray
         hint = "Send what the dataset of the fit holds as `observation.state`, or name a model that takes none."
         raise must_be(field, f"the robot's own state, float32 of shape {shape}, as in training", got, hint=hint)
     if not np.isfinite(state).all():
-        raise InvalidInput(
-            f"`{field}` must be finite; some of its numbers are not.",
-            field=field,
-            hint="Send finite numbers, and no observation while a sensor fails.",
-        )
+        hint = "Send finite numbers, and no observation while a sensor fails."
+        raise must_be(field, "finite", "NaN or an infinity", hint=hint)
     return state
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein import images
-from freerein.errors import InvalidInput, TooLarge
+from freerein.errors import InvalidInput, TooLarge, must_be
 from freerein.goal_text import words
 from freerein.learning.trajectories import TrajectoryArrays
 from freerein.types.common import Image
@@ -54,11 +54,8 @@ def check_phrases(phrases: Sequence[str], *, least: int) -> None:
     for index, phrase in enumerate(phrases):
         _check_text(phrase, f"phrases.{index}", "Name an object, such as: a red block.")
         if phrase in phrases[:index]:
-            raise InvalidInput(
-                f"`phrases` must be distinct; phrase {index} is repeated.",
-                field=f"phrases.{index}",
-                hint="Send each phrase once.",
-            )
+            got, field = f"phrase {index} again", f"phrases.{index}"
+            raise must_be("`phrases`", "distinct", got, field=field, hint="Send each phrase once.")
 
 
 def _check_text(text: str, field: str, hint: str) -> None:

@@ -88,11 +88,8 @@ def checked_actions(action: ActionSpec, actions: Actions, timesteps: int | None)
         raise must_be("actions", rule, got, hint=hint)
     low, high = action.bounds
     if not ((actions >= low) & (actions <= high)).all():  # False for NaN
-        raise InvalidInput(
-            f"`actions` must be finite and in [{low:g}, {high:g}]; some are not.",
-            field="actions",
-            hint="Scale actions as in the training data.",
-        )
+        rule = f"finite and in [{low:g}, {high:g}]"
+        raise must_be("actions", rule, "others", hint="Scale actions as in the training data.")
     return actions
 
 

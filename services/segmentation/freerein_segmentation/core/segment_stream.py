@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias
 
-from freerein.errors import DeadlineExceeded, FailedPrecondition, InvalidInput, Overloaded, ServiceError
+from freerein.errors import DeadlineExceeded, FailedPrecondition, Overloaded, ServiceError, must_be
 from freerein.serving.call_timer import CallTimer
 from freerein.serving.health import Health
 from freerein.serving.methods import InvalidMessage
@@ -152,11 +152,8 @@ class _Session:
         if seq > self._last_seq:
             self._last_seq = seq
             return None
-        return InvalidInput(
-            f"`seq` must increase; got {seq} after {self._last_seq}.",
-            field="timesteps.seq",
-            hint="Number messages from 0, each once; gaps are fine.",
-        )
+        hint = "Number messages from 0, each once; gaps are fine."
+        return must_be("`seq`", f"above {self._last_seq}", seq, field="timesteps.seq", hint=hint)
 
 
 def _labels(finished: Finished, provisional: Labels, timer: CallTimer) -> StreamLabels:

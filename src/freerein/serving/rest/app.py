@@ -16,7 +16,7 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import Receive, Scope, Send
 
 from freerein import wire
-from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput
+from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, must_be
 from freerein.serving.call_recorder import OTHER, CallRecorder, machine_errors
 from freerein.serving.error_replies import MethodNotAllowed
 from freerein.serving.health import Health
@@ -151,11 +151,8 @@ def _writer(request: Request, method: Method) -> Callable[[Any], Awaitable[Respo
 
     form = "" if method.reads else request.query_params.get(tensor_lists.PARAMETER, "")
     if form not in ("", tensor_lists.LIST):
-        raise InvalidInput(
-            f"`{tensor_lists.PARAMETER}` must be `{tensor_lists.LIST}`; it is something else.",
-            field=tensor_lists.PARAMETER,
-            hint="Leave it out for tensors in base64.",
-        )
+        hint = "Leave it out for tensors in base64."
+        raise must_be(tensor_lists.PARAMETER, f"`{tensor_lists.LIST}`", "another word", hint=hint)
     if pictures.holds_frames(method.descriptor.output_type) and pictures.wants_png(request.headers.get("accept", "")):
         return png_reply
     return json_reply

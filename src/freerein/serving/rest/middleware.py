@@ -3,6 +3,7 @@
 import re
 import uuid
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -36,42 +37,32 @@ _MAX_HEADERS = 100
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 
+@dataclass(eq=False)
 class RequestMiddleware:
     """Pure ASGI middleware around the whole app. `recorders` are by path; requests of no such path are `other`."""
 
-    def __init__(
-        self,
-        app: ASGIApp,
-        *,
-        limits: Limits,
-        memory: Memory,
-        token: str,
-        origin_policy: OriginPolicy,
-        recorders: Mapping[str, CallRecorder],
-        other: CallRecorder,
-    ) -> None:
-        self._app = app
-        self._limits = limits
-        self._memory = memory
-        self._token = token
-        self._origin_policy = origin_policy
-        self._recorders = recorders
-        self._other = other
+    app: ASGIApp
+    limits: Limits
+    memory: Memory
+    token: str
+    origin_policy: OriginPolicy
+    recorders: Mapping[str, CallRecorder]
+    other: CallRecorder
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serves one request."""
         if scope["type"] != "http":
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
             return
         headers = Headers(scope=scope)
         request_id = scope[REQUEST_ID] = _request_id(headers)
         reply = _Reply(send, request_id)
-        recorder = self._recorders.get(scope["path"], self._other)
+        recorder = self.recorders.get(scope["path"], self.other)
         try:
-            with recorder.record(request_id) as call, self._memory.share() as share:
+            with recorder.record(request_id) as call, self.memory.share() as share:
                 self._check_headers(scope, headers)
                 scope[SHARE] = share
-                await self._app(scope, self._bounded(receive, scope, share), reply)
+                await self.app(scope, self._bounded(receive, scope, share), reply)
                 if not reply.is_complete:
                     call.code = Cancelled.code
         except ServiceError as error:
@@ -88,8 +79,8 @@ class RequestMiddleware:
             )
         if scope["path"] not in _PATHS_OF_HEALTH:
             if scope["path"] not in docs_page.PATHS:
-                auth.check(headers.get("authorization", ""), self._token)
-            self._origin_policy.check(headers)
+                auth.check(headers.get("authorization", ""), self.token)
+            self.origin_policy.check(headers)
         if headers.get("content-encoding", "identity").lower() != "identity":
             raise UnsupportedMedia(
                 "The body must have no Content-Encoding; the header names one.", hint="Send the body uncompressed."
@@ -104,7 +95,7 @@ class RequestMiddleware:
             raise MalformedRequest(
                 "Content-Length must be a number of bytes; got something else.", hint="Let the HTTP client set it."
             )
-        if int(length[:20]) > self._limits.message_bytes:
+        if int(length[:20]) > self.limits.message_bytes:
             raise self._too_large()
         if scope["method"] in ("GET", "HEAD") and (int(length[:20]) or "transfer-encoding" in headers):
             raise MalformedRequest("A request by GET must have no body; it has one.", hint="Send values in the query.")
@@ -120,7 +111,7 @@ class RequestMiddleware:
                 raise late_request(scope[LATE])
             size = len(message.get("body", b""))
             received += size
-            if received > self._limits.message_bytes:
+            if received > self.limits.message_bytes:
                 raise self._too_large()
             share.take(COPIES * size)
             return message
@@ -129,7 +120,7 @@ class RequestMiddleware:
 
     def _too_large(self) -> TooLarge:
         return TooLarge(
-            f"The body may have at most {self._limits.message_bytes} bytes; got more.", hint="Send less per call."
+            f"The body may have at most {self.limits.message_bytes} bytes; got more.", hint="Send less per call."
         )
 
 
