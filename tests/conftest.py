@@ -4,13 +4,13 @@ import gc
 import io
 import json
 import os
+import re
 import select
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -23,6 +23,7 @@ import hypothesis
 import numpy as np
 import numpy.typing as npt
 import pytest
+from tests import waiting
 
 from freerein.fork_server import ChildProcess, ForkServer, Program, StartChild, spawn
 from freerein.ports import Ports
@@ -66,11 +67,27 @@ class RunningService:
     def grpc_port(self) -> int:
         return int(self.address.rpartition(":")[2])
 
-    def is_ready(self) -> bool:
+    def get(self, path: str) -> tuple[int, str]:
+        """Returns status and text of a GET over REST."""
         connection = HTTPConnection("127.0.0.1", self.http_port, timeout=60)  # httpx would load certificates each time
         with closing(connection):
-            connection.request("GET", "/readyz")
-            return connection.getresponse().status == 200
+            connection.request("GET", path)
+            reply = connection.getresponse()
+            return reply.status, reply.read().decode()
+
+    def is_ready(self) -> bool:
+        return self.get("/readyz")[0] == 200
+
+    def until_ready(self) -> "RunningService":
+        """Waits until it is ready; returns itself."""
+        waiting.wait_until(self.is_ready, _START_S)
+        return self
+
+    def in_flight(self, protocol: str) -> float:
+        """Returns the number of calls in progress over `rest`, of which this is one, or `grpc`."""
+        name = rf'^freerein_calls_in_flight{{protocol="{protocol}"}} (\S+)$'
+        found = re.search(name, self.get("/metrics")[1], re.MULTILINE)
+        return float(found[1]) if found else 0.0
 
     def stop(self) -> int:
         """Sends SIGTERM; returns the exit code."""
@@ -146,6 +163,8 @@ def start_process(module: str, data_dir: Path, **environ: str) -> RunningService
     line = output.readline() if readable else b""
     if not line:
         process.send_signal(signal.SIGKILL)
+        process.wait(60)
+        output.close()
         pytest.fail(f"{module} did not start to listen:\n{log.read_text()[-3000:]}")
     ports = json.loads(line)
     url, address = f"http://127.0.0.1:{ports['http_port']}", f"127.0.0.1:{ports['grpc_port']}"
@@ -298,17 +317,9 @@ def reserve_ports() -> Callable[[Iterable[str]], dict[str, Ports]]:
 
 
 @pytest.fixture(scope="session")
-def wait_until() -> Callable[[Callable[[], bool], float], float]:
+def wait_until() -> Callable[[Callable[[], object], float], float]:
     """A function that waits until a condition holds, `within_s` seconds at most; it returns how long that took."""
-
-    def poll(condition: Callable[[], bool], within_s: float) -> float:
-        begun = time.monotonic()
-        while not condition():
-            assert time.monotonic() - begun < within_s, "it never came true"
-            time.sleep(0.01)
-        return time.monotonic() - begun
-
-    return poll
+    return waiting.wait_until
 
 
 @pytest.fixture(scope="session", autouse=True)

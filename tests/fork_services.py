@@ -9,6 +9,8 @@ import os
 import socket
 import sys
 
+import av  # noqa: F401  # for the videos of policies that runs make
+
 from freerein.fork_server import serve
 from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
 from freerein.program import end

@@ -1,7 +1,7 @@
 """A bad network between a client and a service: a TCP proxy that delays, throttles, splits, stalls, breaks and refuses.
 
 TCP hides loss, reordering and duplicates from whoever reads a socket; what is left of them up here is delay, which this
-makes. The tests load this file by its path.
+makes.
 """
 
 import asyncio

@@ -19,6 +19,7 @@ import httpx
 import numpy as np
 import pytest
 import pytest_asyncio
+from tests.faults import control_robot as robots
 
 from freerein.cli.services import RestartPolicy, ServiceStatus, Stack
 from freerein.clients import (
@@ -31,7 +32,7 @@ from freerein.clients import (
 )
 from freerein.clients.rpc import Client
 from freerein.errors import Unavailable
-from freerein.types.orchestrator import GetRunRequest, StartRunRequest, WatchRunRequest, WatchRunResponse
+from freerein.types.orchestrator import StartRunRequest, WatchRunRequest, WatchRunResponse
 from freerein.types.reward import RewardRequest
 from freerein.types.segmentation import SegmentRequest
 from freerein.types.sim import DemonstrateRequest
@@ -84,14 +85,11 @@ async def labels(segmentation: Any) -> Any:
     return list((await segmentation.segment(SegmentRequest(frames=frames))).labels)
 
 
-def acting(robots: Any) -> Callable[[Any], Awaitable[Any]]:
-    async def actions(imitation: Any) -> Any:
-        request = robots.asked(5, 100)
-        slow = robots.picture(5, hundredths=10)
-        request = type(request)(type(request.observation)((slow,)), request.goal)
-        return (await imitation.act(request)).actions.tobytes()
-
-    return actions
+async def acts(imitation: Any) -> Any:
+    request = robots.asked(5, 100)
+    slow = robots.picture(5, hundredths=10)
+    request = type(request)(type(request.observation)((slow,)), request.goal)
+    return (await imitation.act(request)).actions.tobytes()
 
 
 async def rewards(reward: Any) -> Any:
@@ -127,11 +125,11 @@ class Probe:
 
 
 @pytest_asyncio.fixture(loop_scope="module")
-async def probes(stack: Stack, robots: Any) -> AsyncIterator[dict[str, Probe]]:
+async def probes(stack: Stack) -> AsyncIterator[dict[str, Probe]]:
     known: dict[str, tuple[Any, Callable[[Any], Awaitable[Any]]]] = {
         "sim": (SimClient, trajectories),
         "segmentation": (SegmentationClient, labels),
-        "imitation": (ImitationClient, acting(robots)),
+        "imitation": (ImitationClient, acts),
         "reward": (RewardClient, rewards),
         "orchestrator": (OrchestratorClient, run_id),
     }
@@ -290,23 +288,3 @@ async def test_a_killed_service_is_soon_back_and_retries_succeed(
 
     for _ in range(repeats):
         await within(RECOVERY_S, killed)
-
-
-@pytest.mark.fault("C19")
-@pytest.mark.fault("O15")
-@pytest.mark.fault("G4")
-async def test_an_acknowledged_run_succeeds_though_all_five_services_are_killed_at_once(
-    stack: Stack, probes: dict[str, Probe]
-) -> None:
-    client: Any = probes["orchestrator"].client
-    config = {"task": "grid", "dataset": "acknowledged", "behaviour": "random", "count": 3}
-    run = (await client.start_run(StartRunRequest("collect", config, "acknowledged"))).run
-    killed = {name: one.status().pid for name, one in probes.items()}
-    for pid in killed.values():
-        os.kill(pid, signal.SIGKILL)
-    await until(stack, lambda: all(one.status().pid not in (0, killed[name]) for name, one in probes.items()), 300)
-    await stack.ready(timeout_s=300)
-    while run.state in ("queued", "running"):
-        await asyncio.sleep(0.1)
-        run = (await client.get_run(GetRunRequest(run.id))).run
-    assert (run.state, run.step) == ("succeeded", 3)

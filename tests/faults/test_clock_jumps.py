@@ -1,7 +1,6 @@
 """The wall clock jumps while services run: leases, deadlines and queues are unaffected. Skipped without libfaketime."""
 
 import json
-import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -57,11 +56,10 @@ def _right_clock(wall_clock: WallClock) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def sim(start_module_service: Callable[..., Any], wall_clock: WallClock, wait_until: Any) -> Any:
+def sim(start_module_service: Callable[..., Any], wall_clock: WallClock) -> Any:
     limits = {"FREEREIN_SIM_WORKERS": "1", "FREEREIN_SIM_SESSIONS": "2"}
     service = start_module_service("freerein_sim", **wall_clock.environ, **limits)
-    wait_until(service.is_ready, 300)
-    return service
+    return service.until_ready()
 
 
 def logged_ahead_s(service: Any) -> float:
@@ -110,18 +108,12 @@ def test_calls_that_run_or_wait_are_answered_whatever_the_clock_says(
             httpx.post, f"{sim.url}/v1/reset", json={"session": session}, timeout=60, trust_env=False
         )
         over_grpc = [threads.submit(client.reset, ResetRequest(session), timeout_s=60) for _ in range(2)]
-        wait_until(lambda: in_flight(sim, "rest") == in_flight(sim, "grpc") == 2, 60)  # one reads the metrics
+        wait_until(lambda: sim.in_flight("rest") == sim.in_flight("grpc") == 2, 60)
         assert not over_rest.done()
         wall_clock.jump(seconds)
-        httpx.get(f"{sim.url}/readyz", timeout=60, trust_env=False)
+        sim.is_ready()
         worker.resume()
         assert over_rest.result().status_code == 200
         assert [call.result().frames for call in over_grpc] == [{}, {}]
         client.close_session(CloseSessionRequest(session))
     assert abs(logged_ahead_s(sim) - seconds) < 60
-
-
-def in_flight(sim: Any, protocol: str) -> float:
-    metrics = httpx.get(f"{sim.url}/metrics", timeout=60, trust_env=False).text
-    found = re.search(rf'^freerein_calls_in_flight{{protocol="{protocol}"}} (\S+)$', metrics, re.MULTILINE)
-    return float(found[1]) if found else 0.0

@@ -7,6 +7,8 @@ from typing import Any
 
 import grpc
 import pytest
+from tests.faults import control_robot as robots
+from tests.faults import faulty_policy as policies
 
 from freerein import wire
 from freerein.clients import Channel, ImitationClient
@@ -31,9 +33,9 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def faulty(start_faulty: Callable[..., Any], data_dir: Path, wait_until: Any) -> Any:
+def faulty(start_faulty: Callable[..., Any], data_dir: Path) -> Any:
     faulty = start_faulty(data_dir, module="tests.faults.faulty_policy")
-    wait_until(faulty.service.is_ready, 300)
+    faulty.service.until_ready()
     return faulty
 
 
@@ -44,7 +46,7 @@ async def client(faulty: Any) -> AsyncIterator[ImitationClient]:
 
 
 @pytest.mark.fault("I12")
-async def test_a_stream_above_the_limit_is_refused_at_once_and_the_others_go_on(client: Any, robots: Any) -> None:
+async def test_a_stream_above_the_limit_is_refused_at_once_and_the_others_go_on(client: Any) -> None:
     streams = [robots.Stream(client.control) for _ in range(STREAMS)]
     await asyncio.gather(*(stream.ask(robots.hello()) for stream in streams))
     for seq in range(3):
@@ -60,29 +62,7 @@ async def test_a_stream_above_the_limit_is_refused_at_once_and_the_others_go_on(
 
 
 @pytest.mark.fault("I11")
-async def test_two_streams_share_nothing_but_the_state_that_a_robot_brings(
-    client: Any, robots: Any, policies: Any
-) -> None:
-    first = robots.Stream(client.control)
-    await first.ask(robots.hello(200))
-    state = (await first.ask(robots.seen(0, 3))).chunk.state
-    oracles = [await robots.Oracle.of(policies.FaultyPolicy(policies.SEEDS[0]), 200) for _ in range(2)]
-    second = robots.Stream(client.control)
-    await second.ask(robots.hello(200, state=state))
-    for oracle in oracles:
-        await oracle.answer(robots.seen(0, 3))
-    for seq in range(1, 4):  # each goes on from the state, whatever the other sees
-        for stream, oracle, brightness in ((first, oracles[0], seq), (second, oracles[1], 90 - seq)):
-            request = robots.seen(seq, brightness, did=(0.5, 0.5))
-            await oracle.check(request, await stream.ask(request))
-    await first.rest()
-    await second.rest()
-
-
-@pytest.mark.fault("I11")
-async def test_a_state_of_another_goal_or_model_is_refused(
-    client: Any, robots: Any, policies: Any, data_dir: Path
-) -> None:
+async def test_a_state_of_another_goal_or_model_is_refused(client: Any, data_dir: Path) -> None:
     stream = robots.Stream(client.control)
     await stream.ask(robots.hello(200))
     state = (await stream.ask(robots.seen(0))).chunk.state
@@ -95,11 +75,9 @@ async def test_a_state_of_another_goal_or_model_is_refused(
 
 
 @pytest.mark.fault("I17")
-async def test_work_whose_deadline_passed_in_the_queue_is_not_done(
-    client: Any, faulty: Any, robots: Any, wait_until: Any
-) -> None:
+async def test_work_whose_deadline_passed_in_the_queue_is_not_done(client: Any, faulty: Any, wait_until: Any) -> None:
     done = faulty.metric(ITEMS)
-    held = asyncio.create_task(client.act(_asked(robots, fault="held")))
+    held = asyncio.create_task(client.act(_asked(fault="held")))
     with await asyncio.to_thread(faulty.hold):
         timeouts_s = (0.001, 0.02, 0.05, 0.1) * 5
         expired = [client.act(robots.asked(1, 200), timeout_s=timeout_s) for timeout_s in timeouts_s]
@@ -111,7 +89,7 @@ async def test_work_whose_deadline_passed_in_the_queue_is_not_done(
     assert faulty.metric(ITEMS) == done + 2
 
 
-def _asked(robots: Any, **asked: Any) -> Any:
+def _asked(**asked: Any) -> Any:
     request = robots.asked(1, 200)
     return type(request)(
         type(request.observation)((robots.picture(1, **asked),)), request.goal, request.executed_actions
@@ -121,7 +99,7 @@ def _asked(robots: Any, **asked: Any) -> Any:
 @pytest.mark.fault("I17")
 @pytest.mark.parametrize("timeout_s", [None, TEN_YEARS_S])
 async def test_a_call_with_no_deadline_or_a_distant_one_gets_the_service_s_own(
-    robots: Any, policies: Any, tmp_path: Path, timeout_s: float | None
+    tmp_path: Path, timeout_s: float | None
 ) -> None:
     health, metrics, limits = Health(), Metrics(), Limits(unary_s=0.3)
     service = policies.build_faulty(LearnedSettings(data_dir=tmp_path, shipped_dir=tmp_path), limits, metrics, health)
@@ -129,7 +107,7 @@ async def test_a_call_with_no_deadline_or_a_distant_one_gets_the_service_s_own(
     server = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits).server
     port = server.add_insecure_port("127.0.0.1:0")
     await server.start()
-    request = wire.pack(_asked(robots, hundredths=150)).SerializeToString()
+    request = wire.pack(_asked(hundredths=150)).SerializeToString()
     async with grpc.aio.insecure_channel(f"127.0.0.1:{port}") as channel:
         with pytest.raises(grpc.aio.AioRpcError) as ended:
             await channel.unary_unary(ACT)(request, timeout=timeout_s)

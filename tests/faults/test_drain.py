@@ -24,7 +24,7 @@ from freerein.types.segmentation import SegmentRequest
 pytestmark = pytest.mark.e2e
 SEGMENT = "/freerein.api.segmentation.v1.SegmentationService/Segment"
 CLIENTS = 16
-CALLS = 20
+CALLS = 8
 HUNDREDTHS = 1  # of a second, that the model takes for a call
 
 

@@ -2,29 +2,28 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import httpx
-import numpy as np
 import pytest
+from tests.faults.demonstrations import record_demonstrations
 
 from freerein.clients import Channel, FitClient, SyncClient
-from freerein.data import DatasetSpec, create
 from freerein.errors import OutOfStorage
-from freerein.types.common import ActionSpec, Trajectory
 from freerein.types.learning import WatchFitRequest
 
 pytestmark = pytest.mark.e2e
 STREAMS = 64
 
 
-def start_long_fit(faulty: Any, data_dir: Path) -> str:
-    spec = DatasetSpec(10, {"front": (16, 16, 3)}, ActionSpec(2, 0, ("x", "y")), "none", ("close", "open"))
-    with create(data_dir / "datasets" / "demos", spec) as writer:
-        for _ in range(4):
-            frames = {"front": np.zeros((4, 16, 16, 3), np.uint8)}
-            writer.append(Trajectory(frames, np.zeros((4, 2), np.float32), ("close", "open")))
+@pytest.fixture(scope="module")
+def faulty(start_faulty: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Any:
+    data_dir = tmp_path_factory.mktemp("data")
+    record_demonstrations(data_dir)
+    return start_faulty(data_dir)
+
+
+def start_long_fit(faulty: Any) -> str:
     config = {"steps": 1_000_000, "features": 8, "hidden_size": 8}
     reply = faulty.http.post("/v1/start-fit", json={"dataset": "demos", "config": config})
     assert reply.status_code == 200, reply.text
@@ -33,13 +32,12 @@ def start_long_fit(faulty: Any, data_dir: Path) -> str:
 
 @pytest.mark.fault("I12")
 def test_a_watcher_above_the_limit_is_refused_at_once_and_the_others_go_on(
-    start_faulty: Callable[..., Any], tmp_path: Path, refusal: Callable[..., Any]
+    faulty: Any, refusal: Callable[..., Any]
 ) -> None:
-    faulty = start_faulty(tmp_path)
-    fit_id = start_long_fit(faulty, tmp_path)
-    limits = httpx.Limits(max_connections=None)
+    fit_id = start_long_fit(faulty)
+    options: Any = {"limits": httpx.Limits(max_connections=None), "trust_env": False, "verify": False}
     with (
-        httpx.Client(base_url=faulty.service.url, timeout=120, limits=limits, trust_env=False) as client,
+        httpx.Client(base_url=faulty.service.url, timeout=120, **options) as client,
         ExitStack() as watching,
     ):
         watch = ("GET", "/v1/watch-fit")
@@ -54,13 +52,10 @@ def test_a_watcher_above_the_limit_is_refused_at_once_and_the_others_go_on(
 
 
 @pytest.mark.fault("C21")
-def test_events_that_a_broken_disk_does_not_return_are_out_of_storage(
-    start_faulty: Callable[..., Any], tmp_path: Path, refusal: Callable[..., Any]
-) -> None:
-    faulty = start_faulty(tmp_path)
-    fit_id = start_long_fit(faulty, tmp_path)
+def test_events_that_a_broken_disk_does_not_return_are_out_of_storage(faulty: Any, refusal: Callable[..., Any]) -> None:
+    fit_id = start_long_fit(faulty)
     faulty.http.post("/v1/cancel-fit", json={"id": fit_id})
-    events = tmp_path / "fits" / "segmentation" / fit_id / "events.jsonl"
+    events = faulty.service.data_dir / "fits" / "segmentation" / fit_id / "events.jsonl"
     events.unlink()
     events.symlink_to("/proc/self/mem")  # a regular file whose first page cannot be read: EIO
     problem = refusal(faulty.http.get("/v1/watch-fit", params={"id": fit_id}), 507)

@@ -3,26 +3,25 @@
 import json
 import os
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import psutil
 import pytest
+from tests.faults.demonstrations import record_demonstrations
+from tests.waiting import wait_until
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
 from freerein.clients import Channel, FitClient, OrchestratorClient, SyncClient
-from freerein.data import DatasetSpec, create
 from freerein.errors import OutOfStorage
-from freerein.types.common import ActionSpec, Trajectory
 from freerein.types.learning import StartFitRequest
 from freerein.types.orchestrator import StartRunRequest
 
 pytestmark = pytest.mark.e2e
-FIT = {"steps": 100, "checkpoint_every": 5, "log_every": 1, "features": 8, "hidden_size": 8}
+FIT = {"steps": 40, "checkpoint_every": 10, "log_every": 1, "features": 8, "hidden_size": 8}
 RUN = {"task": "grid", "dataset": "few", "count": 1}
 STATES = ("full", "read_only")
 
@@ -88,12 +87,8 @@ def new_disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], 
 @pytest.fixture(scope="module")
 def disk(new_disk: Callable[[], Disk]) -> Disk:
     """The disk of the segmentation service, with demonstrations on it."""
-    disk, rng = new_disk(), np.random.default_rng(0)
-    spec = DatasetSpec(10, {"front": (16, 16, 3)}, ActionSpec(2, 0, ("x", "y")), "none", ("close", "open"))
-    with create(disk.path / "datasets" / "demos", spec) as writer:
-        for _ in range(6):
-            frames = {"front": rng.integers(0, 255, (8, 16, 16, 3), np.uint8)}
-            writer.append(Trajectory(frames, np.zeros((8, 2), np.float32), ("close", "open")))
+    disk = new_disk()
+    record_demonstrations(disk.path)
     return disk
 
 
@@ -124,7 +119,7 @@ def wait_for(faulty: Any, fit_id: str, condition: Callable[[Any], bool]) -> Any:
         fit = faulty.http.get("/v1/get-fit", params={"id": fit_id}).json()["fit"]
         return condition(fit)
 
-    until(met)
+    wait_until(met)
     return fit
 
 
@@ -175,7 +170,7 @@ def test_a_fit_that_was_cancelled_and_that_failed_on_a_full_disk_is_resumed_to_t
     faulty: Any, disk: Disk, undisturbed: str
 ) -> None:
     fit_id = start_fit(faulty, "disturbed")
-    wait_for(faulty, fit_id, lambda fit: fit["step"] > 0)
+    suspended_child(faulty)
     assert faulty.http.post("/v1/cancel-fit", json={"id": fit_id}).json()["fit"]["state"] == "cancelled"
     resumed = CliRunner().invoke(
         app,
@@ -184,17 +179,23 @@ def test_a_fit_that_was_cancelled_and_that_failed_on_a_full_disk_is_resumed_to_t
     )
     assert json.loads(resumed.stdout)["state"] in ("queued", "running")
     assert faulty.http.post("/v1/resume-fit", json={"id": fit_id}).status_code == 409
-    until(lambda: faulty.jobs)
-    (child,) = faulty.jobs
-    child.suspend()  # so that it does not end before the disk is full
+    child = suspended_child(faulty)
     with disk.full():
         child.resume()
-        until(lambda: not faulty.jobs)
+        wait_until(lambda: not faulty.jobs)
     failed = wait_for(faulty, fit_id, lambda fit: fit["state"] == "failed")
     assert "must be writable" in failed["error"] or "must work" in failed["error"]  # its checkpoints, or another file
     assert "resume the fit" in failed["error"]
     assert faulty.http.post("/v1/resume-fit", json={"id": fit_id}).status_code == 200
     assert wait_for(faulty, fit_id, lambda fit: "model" in fit)["model"]["version"] == undisturbed
+
+
+def suspended_child(faulty: Any) -> psutil.Process:
+    """Returns the child of the fit that has begun, which ends no sooner than it is resumed."""
+    wait_until(lambda: faulty.jobs)
+    child: psutil.Process = faulty.jobs[0]
+    child.suspend()
+    return child
 
 
 @pytest.fixture(scope="module")
@@ -214,8 +215,8 @@ def test_an_orchestrator_waits_for_room_to_begin_and_refuses_runs_whole(
             FREEREIN_DATA_DIR=str(runs_disk.path),
             FREEREIN_SIM_ADDRESS="127.0.0.1:1",
         )
-        until(lambda: "disk is full" in orchestrator.http.get("/readyz").text)
-    until(lambda: orchestrator.http.get("/readyz").status_code == 200)
+        wait_until(lambda: "disk is full" in orchestrator.http.get("/readyz").text)
+    wait_until(lambda: orchestrator.http.get("/readyz").status_code == 200)
     asked = {"kind": "collect", "config": RUN, "idempotency_key": "once"}
     with runs_disk.full():
         before = runs_disk.files
@@ -246,15 +247,15 @@ def test_an_orchestrator_that_starts_again_on_a_full_disk_waits_for_room_and_end
         return "disk is full" in orchestrator.http.get("/readyz").text
 
     first = start()
-    until(lambda: first.http.get("/readyz").status_code == 200)
+    wait_until(lambda: first.http.get("/readyz").status_code == 200)
     assert first.service.stop() == 0
     with disk.full():
         told = start()
-        until(lambda: waits(told))
+        wait_until(lambda: waits(told))
         assert told.service.stop() == 0
         after = start()
-        until(lambda: waits(after))
-    until(lambda: after.http.get("/readyz").status_code == 200)
+        wait_until(lambda: waits(after))
+    wait_until(lambda: after.http.get("/readyz").status_code == 200)
 
 
 @pytest.mark.fault("C21")
@@ -271,26 +272,19 @@ def test_a_run_that_records_data_goes_on_once_there_is_room(
         FREEREIN_DATA_DIR=str(disk.path),
         FREEREIN_SIM_ADDRESS=sim.service.address,
     )
-    until(lambda: orchestrator.http.get("/readyz").status_code == 200)
+    wait_until(lambda: orchestrator.http.get("/readyz").status_code == 200)
     asked = {"kind": "collect", "config": {**RUN, "count": 150}}
     run_id = orchestrator.http.post("/v1/start-run", json=asked).json()["run"]["id"]
 
     def run() -> Any:
         return orchestrator.http.get("/v1/get-run", params={"id": run_id}).json()["run"]
 
-    until(lambda: run()["step"] >= 5)
+    wait_until(lambda: run()["step"] >= 5)
     with disk.full():
-        until(lambda: not orchestrator.jobs)
-    until(lambda: run()["state"] in ("succeeded", "failed"))
+        wait_until(lambda: not orchestrator.jobs)
+    wait_until(lambda: run()["state"] in ("succeeded", "failed"))
     if run()["state"] == "failed":  # its end could be recorded before the disk was full to the last byte
         assert "must be writable" in run()["error"] or "must work" in run()["error"]
         assert orchestrator.http.post("/v1/resume-run", json={"id": run_id}).status_code == 200
-        until(lambda: run()["state"] == "succeeded")
+        wait_until(lambda: run()["state"] == "succeeded")
     assert run()["step"] == 150
-
-
-def until(condition: Callable[[], bool]) -> None:
-    begun = time.monotonic()
-    while not condition():
-        assert time.monotonic() - begun < 500
-        time.sleep(0.02)

@@ -14,6 +14,7 @@ from typing import Any
 import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
+from tests.faults import http2_client as http2
 
 from freerein.serving.limits import MAX_VALUES, Limits
 
@@ -23,7 +24,7 @@ WATCH_FIT = "/freerein.api.learning.v1.FitService/WatchFit"
 HEALTH = "/grpc.health.v1.Health/Check"
 REFLECTION = "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo"
 MIB = 2**20
-RECEIPT_S = 1.5
+RECEIPT_S = 3.0
 OVERLOADED, LATE = "8", "4"
 OPTIONS = (("grpc.max_send_message_length", -1), ("grpc.use_local_subchannel_pool", 1))
 
@@ -125,7 +126,7 @@ def test_a_message_of_many_values_is_refused_while_others_are_answered(
 
 @pytest.mark.fault("F4")
 def test_messages_that_never_end_hold_no_more_than_all_messages_may(
-    faulty: Any, channel: grpc.Channel, http2: Any, wait_until: Any, least_of_many: Any
+    faulty: Any, channel: grpc.Channel, wait_until: Any, least_of_many: Any
 ) -> None:
     size, most = 60 * MIB, Limits().slow_messages
     start = b"\0" + struct.pack(">I", size) + bytes(size - 1)
@@ -180,52 +181,56 @@ def peak_bytes(pid: int) -> int:
     ids=["unary", "stream", "reflection"],
 )
 def test_calls_without_a_message_keep_nobody_out_for_long(
-    faulty: Any, channel: grpc.Channel, http2: Any, path: str, refusal: str, least_of_many: Any
+    faulty: Any, channel: grpc.Channel, path: str, refusal: str, least_of_many: Any
 ) -> None:
     def attack() -> float:
-        """Returns 0 when the calls came fast enough to take all places."""
+        """Returns 0 when the calls came fast enough to take all places, and their deadlines passed one by one."""
         with ExitStack() as connections:
             attackers = [connections.enter_context(http2.Http2(faulty.service.grpc_port)) for _ in range(3)]
             calls = [(each, each.call(path)) for each in attackers for _ in range(Limits().concurrent_calls // 2)]
             assert is_healthy(channel)
             ended = [each.wait_for_end(call, 60) for each, call in calls]
-            assert set(ended) == {LATE, OVERLOADED}
-            assert ended.count(OVERLOADED) > 0.9 * len(ended)
-            return 0 if any(refusal in each.messages[call] for each, call in calls) else 1
+            assert set(ended) <= {LATE, OVERLOADED}
+            is_refused = any(refusal in each.messages[call] for each, call in calls)
+            return 0 if is_refused and ended.count(OVERLOADED) > 0.9 * len(ended) else 1
 
     assert least_of_many(attack, below=1) == 0
     assert outcome(channel)[0] == grpc.StatusCode.INVALID_ARGUMENT
 
 
 @pytest.mark.fault("F4")
-def test_health_checks_without_a_message_end_too(faulty: Any, channel: grpc.Channel, http2: Any) -> None:
-    limit = Limits().health_calls
-    with http2.Http2(faulty.service.grpc_port) as connection:
-        calls = [connection.call(HEALTH) for _ in range(limit + 1)]
-        ended = [connection.wait_for_end(call, 60) for call in calls]
-    assert ended.count(LATE) <= Limits().slow_messages
-    assert set(ended) <= {OVERLOADED, LATE}
+def test_health_checks_without_a_message_end_too(faulty: Any, channel: grpc.Channel, least_of_many: Any) -> None:
+    def late() -> int:
+        """Returns how many were not refused before their deadline; a busy machine lets more pass at once."""
+        with http2.Http2(faulty.service.grpc_port) as connection:
+            calls = [connection.call(HEALTH) for _ in range(Limits().health_calls + 1)]
+            ended = [connection.wait_for_end(call, 60) for call in calls]
+        assert set(ended) <= {OVERLOADED, LATE}
+        return ended.count(LATE)
+
+    most = Limits().slow_messages
+    assert least_of_many(late, below=most + 1) <= most
     assert is_healthy(channel)
 
 
 # --- floods of frames
 
 
-def rapid_resets(http2: Any, connection: Any) -> Iterator[bytes]:
+def rapid_resets(connection: Any) -> Iterator[bytes]:
     while True:
         opened = http2.frame(http2.HEADERS, http2.END_HEADERS, connection.next_stream(), connection.headers(SEGMENT))
         yield opened + http2.frame(http2.RST_STREAM, 0, connection.last_stream, struct.pack(">I", 8))
 
 
 def repeated(kind: str, payload: bytes) -> Callable[[Any, Any], Iterator[bytes]]:
-    def frames(http2: Any, _connection: Any) -> Iterator[bytes]:
+    def frames(_connection: Any) -> Iterator[bytes]:
         while True:
             yield http2.frame(getattr(http2, kind), 0, 0, payload)
 
     return frames
 
 
-def endless_headers(http2: Any, connection: Any) -> Iterator[bytes]:
+def endless_headers(connection: Any) -> Iterator[bytes]:
     yield http2.frame(http2.HEADERS, 0, connection.next_stream(), connection.headers(SEGMENT))
     while True:
         yield http2.frame(http2.CONTINUATION, 0, connection.last_stream, b"\0\x01a\x01b" * 1000)
@@ -238,23 +243,23 @@ def endless_headers(http2: Any, connection: Any) -> Iterator[bytes]:
     ids=["rapid resets", "pings", "settings", "continuations"],
 )
 def test_a_flood_of_frames_keeps_nobody_else_waiting(
-    faulty: Any, channel: grpc.Channel, http2: Any, flood: Any, repeats: int
+    faulty: Any, channel: grpc.Channel, flood: Any, repeats: int
 ) -> None:
     before = faulty.process.memory_info().rss
-    with flooding(http2, faulty.service.grpc_port, flood):
+    with flooding(faulty.service.grpc_port, flood):
         assert all(is_healthy(channel) for _ in range(20 * repeats))
     assert faulty.process.memory_info().rss - before < 256 * MIB
 
 
 @contextmanager
-def flooding(http2: Any, port: int, flood: Any) -> Iterator[None]:
+def flooding(port: int, flood: Any) -> Iterator[None]:
     """Sends frames until the block ends, on a new connection whenever the server closes one."""
     done = threading.Event()
 
     def attack() -> None:
         while not done.is_set():
             with http2.Http2(port) as attacker:
-                frames = flood(http2, attacker)
+                frames = flood(attacker)
                 while not (attacker.closed or done.is_set()):
                     attacker.send(next(frames))
 

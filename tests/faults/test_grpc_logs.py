@@ -6,6 +6,7 @@ from typing import Any
 
 import grpc
 import pytest
+from tests.faults import http2_client as http2
 
 pytestmark = pytest.mark.e2e
 SEGMENT = "/freerein.api.segmentation.v1.SegmentationService/Segment"
@@ -28,7 +29,7 @@ def faulty(start_faulty: Callable[..., Any]) -> Any:
 
 @pytest.mark.fault("F11")
 @pytest.mark.fault("I17")
-def test_bad_metadata_and_expired_deadlines_leave_no_trace(faulty: Any, http2: Any) -> None:
+def test_bad_metadata_and_expired_deadlines_leave_no_trace(faulty: Any) -> None:
     for field in BAD_METADATA:
         with http2.Http2(faulty.service.grpc_port) as connection:
             for path in (SEGMENT, HEALTH + "Check", "/no/Such"):

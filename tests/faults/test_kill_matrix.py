@@ -30,9 +30,9 @@ TINY = {
     "encoder": "spatial",
     "iterations": 3,
     "num_envs": 2,
-    "num_steps": 16,
-    "epochs": 2,
-    "batch_size": 16,
+    "num_steps": 8,
+    "epochs": 1,
+    "batch_size": 8,
     "feature_size": 8,
     "hidden_size": 8,
 }
@@ -135,6 +135,7 @@ async def undisturbed(running: Running) -> str:
 
 @pytest.mark.fault("O1")
 @pytest.mark.fault("O2")
+@pytest.mark.fault("O15")
 @pytest.mark.fault("G4")
 @pytest.mark.fault("G5")
 @pytest.mark.parametrize(("victim", "moment"), PPO)

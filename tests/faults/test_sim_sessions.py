@@ -5,7 +5,6 @@ import base64
 import hashlib
 import json
 import os
-import re
 import secrets
 import signal
 import struct
@@ -41,10 +40,8 @@ POOL = 6  # threads of a pool that was not full yet
 
 
 @pytest.fixture(scope="module")
-def service(start_module_service: Callable[..., Any], wait_until: Any) -> Any:
-    service = start_module_service("freerein_sim", FREEREIN_SIM_SESSIONS="4", FREEREIN_SIM_WORKERS="2")
-    wait_until(service.is_ready, 300)
-    return service
+def service(start_module_service: Callable[..., Any]) -> Any:
+    return start_module_service("freerein_sim", FREEREIN_SIM_SESSIONS="4", FREEREIN_SIM_WORKERS="2").until_ready()
 
 
 @pytest.fixture
@@ -62,13 +59,13 @@ def session(sim: Any) -> Iterator[str]:
 
 
 @pytest.mark.fault("M4")
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1.5])
-def test_an_action_that_is_not_finite_or_out_of_range_is_refused_and_changes_nothing(sim: Any, value: float) -> None:
+def test_an_action_that_is_not_finite_or_out_of_range_is_refused_and_changes_nothing(sim: Any) -> None:
     created = sim.create_session(CreateSessionRequest("blocks", seed=1))
     sim.reset(ResetRequest(created.session))
     before = sim.snapshot(SnapshotRequest(created.session)).snapshot
-    with pytest.raises(InvalidInput):
-        sim.step(StepRequest(created.session, 1, np.full((1, 3), value, np.float32)))
+    for value in (np.nan, np.inf, 1.5):
+        with pytest.raises(InvalidInput):
+            sim.step(StepRequest(created.session, 1, np.full((1, 3), value, np.float32)))
     assert sim.snapshot(SnapshotRequest(created.session)).snapshot == before
     sim.close_session(CloseSessionRequest(created.session))
 
@@ -107,12 +104,12 @@ def test_a_guessed_id_is_answered_like_that_of_a_session_that_was(sim: Any, serv
     states = {"datatype": "FP64", "shape": [1, 1, 12], "raw": base64.b64encode(bytes(96)).decode()}
     parts = {"step": {"step_id": 1, "actions": actions}, "check": {"predicate": "at-landmark", "states": states}}
     answers = set()
-    for session in (closed, expired, secrets.token_hex(16), closed.upper(), "", "../" + closed):
-        request = {"session": session, **parts.get(call, {})}
-        reply = httpx.post(f"{service.url}/v1/{call}", json=request, timeout=60, trust_env=False)
-        problem = reply.json()
-        assert problem.pop("request_id")
-        answers.add((reply.status_code, json.dumps(problem)))
+    with httpx.Client(base_url=service.url, timeout=60, trust_env=False, verify=False) as rest:
+        for session in (closed, expired, secrets.token_hex(16), closed.upper(), "", "../" + closed):
+            reply = rest.post(f"/v1/{call}", json={"session": session, **parts.get(call, {})})
+            problem = reply.json()
+            assert problem.pop("request_id")
+            answers.add((reply.status_code, json.dumps(problem)))
     ((status, problem),) = answers
     assert (status, json.loads(problem)["code"]) == (404, "session_not_found")
 
@@ -132,10 +129,10 @@ async def test_calls_that_are_cancelled_while_they_wait_cost_nothing(service: An
             for worker in workers:
                 worker.suspend()
             calls = [asyncio.create_task(client.render(render)) for _ in range(WAITING)]
-            await asyncio.to_thread(wait_until, lambda: _in_flight(service) == WAITING, 60)
+            await asyncio.to_thread(wait_until, lambda: service.in_flight("grpc") == WAITING, 60)
             for call in calls:
                 call.cancel()
-            await asyncio.to_thread(wait_until, lambda: _in_flight(service) == 0, 60)
+            await asyncio.to_thread(wait_until, lambda: service.in_flight("grpc") == 0, 60)
             begun = time.perf_counter()
             for worker in workers:
                 worker.resume()
@@ -143,13 +140,6 @@ async def test_calls_that_are_cancelled_while_they_wait_cost_nothing(service: An
             ratios.append((time.perf_counter() - begun) / one_s)
         await client.close_session(CloseSessionRequest(session))
     assert min(ratios) < 5, ratios
-
-
-def _in_flight(service: Any) -> float:
-    """Returns the number of calls in progress over gRPC."""
-    metrics = httpx.get(f"{service.url}/metrics", timeout=60, trust_env=False).text
-    found = re.search(r'^freerein_calls_in_flight{protocol="grpc"} (\S+)$', metrics, re.MULTILINE)
-    return float(found[1]) if found else 0.0
 
 
 @pytest.mark.fault("M8")
@@ -176,9 +166,9 @@ def test_sessions_that_were_closed_leave_nothing_behind(sim: Any, service: Any, 
             sim.close_session(CloseSessionRequest(session))
         return [process.memory_info().rss for process in processes]
 
-    before = cycle(100)
+    before = cycle(50)
     files, threads = ([process.num_fds() for process in processes], [process.num_threads() for process in processes])
-    after = cycle(10_000 if fuzz else 100)
+    after = cycle(10_000 if fuzz else 50)
     assert [process.num_fds() for process in processes] == files
     assert all(process.num_threads() <= then + POOL for process, then in zip(processes, threads, strict=True))
     assert children_running("freerein_sim.workers", service.process.pid) == processes[1:]
@@ -228,7 +218,7 @@ def test_the_same_seed_and_actions_give_the_same_bits_as_in_process(sim: Any, na
     sim.reset(ResetRequest(created.session))
     local.reset()
     rng = np.random.default_rng(0)
-    for step_id in range(1, 60):
+    for step_id in range(1, 20):
         if action.choices:
             actions: Any = rng.integers(0, action.choices, (2, 1))
         else:

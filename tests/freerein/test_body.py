@@ -100,6 +100,7 @@ async def test_a_large_body_is_read_as_a_small_one(size: int) -> None:
     assert (await read(data, SegmentRequest)).model == ModelRef("a")
 
 
+@pytest.mark.fault("C1")
 @pytest.mark.parametrize(
     "number", ["NaN", "Infinity", "-Infinity", "1e999", "-1e999", "9" * 400, "9" * 5000, "0x1", "01", ".5", "+1", "1_0"]
 )
@@ -113,6 +114,7 @@ async def test_minus_zero_is_a_number() -> None:
     assert (await read(b'{"smoothing": -0.0}', SegmentRequest)).smoothing == 0.0
 
 
+@pytest.mark.fault("C2")
 @pytest.mark.parametrize(
     "data",
     [
@@ -168,6 +170,7 @@ async def test_no_key_of_ordinary_json_counts_as_repeated(value: Any) -> None:
     assert isinstance(outcome, StartFitRequest) or "repeated" not in outcome.detail
 
 
+@pytest.mark.fault("C3")
 @pytest.mark.parametrize("depth", [31, 900, 1_023, 100_000])
 @pytest.mark.parametrize(("opening", "closing"), [("[", "]"), ('{"a":', "}")])
 async def test_deep_nesting_is_refused(depth: int, opening: str, closing: str) -> None:
@@ -193,6 +196,7 @@ async def test_thirty_levels_are_allowed_over_rest_and_grpc_and_no_more(opening:
                 wire.unpack(message, StartFitRequest)
 
 
+@pytest.mark.fault("C2")
 @given(st.binary(max_size=200))
 async def test_any_bytes_are_a_request_or_an_error_of_ours(data: bytes) -> None:
     for content_type in (JSON, MULTIPART):
@@ -291,6 +295,7 @@ async def test_json_values_must_have_the_fields_own_type(value: object) -> None:
         await read(json.dumps(value).encode(), SegmentRequest)
 
 
+@pytest.mark.fault("C6")
 @pytest.mark.parametrize("items", [900_000, 1_100_000])
 async def test_a_million_bad_items_are_a_short_error(items: int) -> None:
     with pytest.raises(InvalidInput) as error:
@@ -320,6 +325,7 @@ async def test_json_has_many_spellings(content_type: str) -> None:
     assert await read(b"{}", ListSkillsRequest, content_type) == ListSkillsRequest()
 
 
+@pytest.mark.fault("C4")
 @pytest.mark.parametrize(
     "content_type",
     [

@@ -1,8 +1,6 @@
-"""The faulty policy and robots of the fault tests, the core around them, fits as child processes, a text encoder."""
+"""The core around the faulty policy of the fault tests, fits as child processes, and a text encoder."""
 
-import importlib.util
 import json
-import sys
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from tests.faults import faulty_policy as policies
 
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
@@ -21,30 +20,6 @@ from freerein_imitation.core import ActService, ControlService, PolicyRunner
 from freerein_imitation.methods import METHODS
 from freerein_imitation.model import text_encoder
 from freerein_imitation.model.wordpiece import MAX_TOKENS
-
-_FAULTS = Path(__file__).parents[1] / "faults"
-
-
-def _load(name: str) -> Any:
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, _FAULTS / f"{name}.py")
-        assert spec is not None
-        assert spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-@pytest.fixture(scope="session")
-def policies() -> Any:
-    """The module `faulty_policy`."""
-    return _load("faulty_policy")
-
-
-@pytest.fixture(scope="session")
-def robots() -> Any:
-    """The module `control_robot`."""
-    return _load("control_robot")
 
 
 @dataclass(frozen=True)
@@ -61,7 +36,7 @@ class Core:
 
 
 @pytest.fixture
-async def core(policies: Any, tmp_path: Path) -> AsyncIterator[Core]:
+async def core(tmp_path: Path) -> AsyncIterator[Core]:
     versions = policies.publish_policies(tmp_path)
     store = ModelStore(tmp_path / "models" / policies.NAME)
     models: Any = ModelCache(store, lambda folder: policies.load(folder, "cpu"), fit_command="none")

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import PIL.Image
 import pytest
+from tests.faults import control_robot as robots
+from tests.faults import faulty_policy as policies
 
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceError
 from freerein.types.common import Camera, Goal, Image, ModelRef, Observation
@@ -22,13 +24,13 @@ def encoded(image: Image, format_: str = "PNG", mode: str = "RGB") -> Image:
     return Image("png", 0, 0, buffer.getvalue())
 
 
-async def test_the_spec_says_what_a_robot_must_send_and_mean(core: Any, robots: Any) -> None:
+async def test_the_spec_says_what_a_robot_must_send_and_mean(core: Any) -> None:
     spec = await core.act.get_spec(GetSpecRequest())
     assert (spec.cameras, spec.action, spec.goal_form) == (robots.CAMERAS, robots.ACTION, "images")
     assert (spec.horizon, spec.control_dt_s, spec.model) == (3, 0.02, core.versions[0])
 
 
-async def test_calls_chained_by_their_states_are_one_history(core: Any, robots: Any, policies: Any) -> None:
+async def test_calls_chained_by_their_states_are_one_history(core: Any) -> None:
     oracle = await robots.Oracle.of(policies.FaultyPolicy(policies.SEEDS[0]), 3, 5)
     state, did, indices = b"", None, []
     for seq, brightness in enumerate((1, 3, 4, 5, 6)):
@@ -42,7 +44,7 @@ async def test_calls_chained_by_their_states_are_one_history(core: Any, robots: 
     assert indices == [(0, False, 3), (1, False, 3), (1, False, 3), (2, True, 0), (2, True, 0)]
 
 
-async def test_an_encoded_image_is_the_same_goal_and_the_same_observation(core: Any, robots: Any) -> None:
+async def test_an_encoded_image_is_the_same_goal_and_the_same_observation(core: Any) -> None:
     request = robots.asked(1, 3, 5)
     first = await core.act.act(request)
     files = replace(
@@ -56,9 +58,7 @@ async def test_an_encoded_image_is_the_same_goal_and_the_same_observation(core: 
     assert second.state == again.state
 
 
-async def test_a_goal_image_that_is_sent_again_is_not_encoded_again(
-    core: Any, robots: Any, policies: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_goal_image_that_is_sent_again_is_not_encoded_again(core: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     encode, encoded_goals = policies.FaultyPolicy.encode_goals, []
 
     def counted(policy: Any, goals: Any) -> Any:
@@ -73,7 +73,7 @@ async def test_a_goal_image_that_is_sent_again_is_not_encoded_again(
     assert encoded_goals == [3, 5]
 
 
-async def test_a_state_of_a_version_that_is_no_longer_active_says_what_to_name(core: Any, robots: Any) -> None:
+async def test_a_state_of_a_version_that_is_no_longer_active_says_what_to_name(core: Any) -> None:
     first = await core.act.act(robots.asked(1, 3))
     await core.models.activate_model(ActivateModelRequest("default", core.versions[1].version))
     with pytest.raises(FailedPrecondition) as error:
@@ -116,7 +116,7 @@ LARGE = Image("png", 0, 0, encoded(Image("raw_rgb8", 5, 5, bytes(75))).data)
         ({"state": b"x"}, "state"),
     ],
 )
-async def test_what_is_wrong_is_refused_by_name(core: Any, robots: Any, change: dict[str, Any], field: str) -> None:
+async def test_what_is_wrong_is_refused_by_name(core: Any, change: dict[str, Any], field: str) -> None:
     with pytest.raises(ServiceError) as error:
         await core.act.act(replace(robots.asked(1, 3), **change))
     assert error.value.grpc_status == "INVALID_ARGUMENT"
@@ -134,7 +134,7 @@ async def test_what_is_wrong_is_refused_by_name(core: Any, robots: Any, change: 
         (np.array([0, np.inf, 0], np.float32), "must be finite"),
     ],
 )
-def test_a_model_that_takes_the_robots_state_says_which(policies: Any, state: Any, detail: str) -> None:
+def test_a_model_that_takes_the_robots_state_says_which(state: Any, detail: str) -> None:
     spec = replace(policies.FaultyPolicy.spec, robot_state_size=3)
     with pytest.raises(InvalidInput, match=detail) as error:
         parse_robot_state(spec, Observation(state=state))
@@ -142,7 +142,7 @@ def test_a_model_that_takes_the_robots_state_says_which(policies: Any, state: An
     assert error.value.hint
 
 
-async def test_a_state_of_the_robot_changes_nothing_where_the_model_takes_none(core: Any, robots: Any) -> None:
+async def test_a_state_of_the_robot_changes_nothing_where_the_model_takes_none(core: Any) -> None:
     request = robots.asked(1, 3)
     without = await core.act.act(request)
     for state in (np.ones(3, np.float32), np.full((2, 2), np.nan)):
@@ -151,12 +151,12 @@ async def test_a_state_of_the_robot_changes_nothing_where_the_model_takes_none(c
     assert (await core.act.get_spec(GetSpecRequest())).robot_state_size == 0
 
 
-async def test_another_model_than_there_is_is_not_found(core: Any, robots: Any) -> None:
+async def test_another_model_than_there_is_is_not_found(core: Any) -> None:
     with pytest.raises(NotFound):
         await core.act.act(robots.asked(1, 3, model=ModelRef("", "0" * 12)))
 
 
-async def test_nothing_executed_is_told_from_something(core: Any, robots: Any) -> None:
+async def test_nothing_executed_is_told_from_something(core: Any) -> None:
     none = await core.act.act(robots.asked(1, 3))
     empty = await core.act.act(robots.asked(1, 3, executed_actions=np.zeros((0, 2), np.float32)))
     some = await core.act.act(robots.asked(1, 3, did=(0.5, 0.5)))
@@ -165,12 +165,12 @@ async def test_nothing_executed_is_told_from_something(core: Any, robots: Any) -
 
 
 @pytest.mark.parametrize("measured", [np.array([[1, -1]]), np.array([[1.0000001, -1.0009]], np.float32)])
-async def test_executed_actions_may_be_whole_numbers_and_a_hair_outside(core: Any, robots: Any, measured: Any) -> None:
+async def test_executed_actions_may_be_whole_numbers_and_a_hair_outside(core: Any, measured: Any) -> None:
     exact = await core.act.act(robots.asked(1, 3, did=(1.0, -1.0)))
     assert (await core.act.act(robots.asked(1, 3, executed_actions=measured))).state == exact.state
 
 
-async def test_a_request_may_give_its_goals_less_time(core: Any, robots: Any) -> None:
+async def test_a_request_may_give_its_goals_less_time(core: Any) -> None:
     first = await core.act.act(robots.asked(1, 3, max_steps_per_goal=1))
     second = await core.act.act(robots.asked(1, 3, max_steps_per_goal=1, state=first.state))
     assert (second.goal_index, second.goal_abandoned, second.goal_reached, len(second.actions)) == (1, True, False, 0)
@@ -179,7 +179,7 @@ async def test_a_request_may_give_its_goals_less_time(core: Any, robots: Any) ->
 
 @pytest.mark.fault("I14")
 @pytest.mark.parametrize(("fault", "code"), [("raises", "model_fault"), ("nan", "output_not_finite")])
-async def test_a_fault_of_the_policy_is_told_as_one(core: Any, robots: Any, fault: str, code: str) -> None:
+async def test_a_fault_of_the_policy_is_told_as_one(core: Any, fault: str, code: str) -> None:
     request = replace(robots.asked(1, 3), observation=Observation((robots.picture(1, fault=fault),)))
     with pytest.raises(ServiceError) as error:
         await core.act.act(request)
@@ -187,7 +187,7 @@ async def test_a_fault_of_the_policy_is_told_as_one(core: Any, robots: Any, faul
 
 
 @pytest.mark.parametrize("recipe", [("reach", "jump"), (), ("reach",) * 257])
-async def test_a_recipe_is_of_skills_that_the_model_knows(policies: Any, robots: Any, recipe: tuple[str, ...]) -> None:
+async def test_a_recipe_is_of_skills_that_the_model_knows(recipe: tuple[str, ...]) -> None:
     spec = replace(policies.FaultyPolicy.spec, goal_form="recipe", skills=("reach", "grasp"))
     goals = await parse_goal(spec, Goal(recipe=("grasp", "reach")))
     assert [goal.content for goal in goals] == ["grasp", "reach"]
@@ -208,7 +208,7 @@ def wrist(value: int) -> Image:
 
 
 @pytest.fixture
-def two_cameras(policies: Any) -> Any:
+def two_cameras() -> Any:
     """The spec of a policy with two cameras of different sizes."""
     return replace(policies.FaultyPolicy.spec, cameras=(FRONT, WRIST))
 

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.faults import control_robot as robots
+from tests.faults import faulty_policy as policies
 
 from freerein.errors import FailedPrecondition, InvalidInput, MalformedRequest, ServiceError
 from freerein.serving.methods import InvalidMessage
@@ -22,12 +24,12 @@ LAST_NS = 2**64 - 1
 
 
 @pytest.fixture
-def open_stream(core: Any, robots: Any) -> Any:
+def open_stream(core: Any) -> Any:
     return lambda: robots.Stream(core.control.control)
 
 
 @pytest.fixture
-def open_held_stream(core: Any, robots: Any, policies: Any) -> Any:
+def open_held_stream(core: Any) -> Any:
     """A function that opens a stream whose first observation is in the model until an event is set.
 
     It takes the Hello, and returns the stream, the answer to come and the event.
@@ -45,9 +47,7 @@ def open_held_stream(core: Any, robots: Any, policies: Any) -> Any:
     return open_held
 
 
-async def test_a_hello_is_answered_by_the_spec_and_observations_by_chunks(
-    open_stream: Any, robots: Any, policies: Any
-) -> None:
+async def test_a_hello_is_answered_by_the_spec_and_observations_by_chunks(open_stream: Any) -> None:
     stream, oracle = open_stream(), await robots.Oracle.of(policies.FaultyPolicy(policies.SEEDS[0]), 3, 5)
     assert (await stream.ask(robots.hello(3, 5))).spec.cameras == robots.CAMERAS
     for seq, brightness in enumerate((1, 3, 4, 5, 6)):
@@ -72,7 +72,7 @@ async def test_a_hello_is_answered_by_the_spec_and_observations_by_chunks(
     ],
 )
 async def test_a_robot_that_means_something_else_is_refused_with_both_said(
-    open_stream: Any, robots: Any, change: dict[str, Any], said: str
+    open_stream: Any, change: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(FailedPrecondition) as error:
         await open_stream().ask(robots.hello(**change))
@@ -80,7 +80,7 @@ async def test_a_robot_that_means_something_else_is_refused_with_both_said(
     assert error.value.field == "hello"
 
 
-async def test_a_robot_lists_several_cameras_in_any_order(core: Any, robots: Any, policies: Any) -> None:
+async def test_a_robot_lists_several_cameras_in_any_order(core: Any) -> None:
     cameras = (*robots.CAMERAS, Camera("wrist", 2, 3, 1))
     wrist = Image("raw_gray8", 2, 3, bytes(6), "wrist")
     policy = policies.FaultyPolicy(policies.SEEDS[0])
@@ -93,16 +93,14 @@ async def test_a_robot_lists_several_cameras_in_any_order(core: Any, robots: Any
     assert (await stream.ask(ControlRequest(observed=both))).chunk.goal_reached
 
 
-async def test_what_is_meant_alike_is_agreed(open_stream: Any, robots: Any) -> None:
+async def test_what_is_meant_alike_is_agreed(open_stream: Any) -> None:
     alike = ActionSpec(2, 0, ("x", "y"), "m", (float(np.float32(0.01)),) * 2)
     request = robots.hello(action=alike, cameras=(Camera("", 4, 4, 3),))
     assert (await open_stream().ask(request)).spec is not None
 
 
 @pytest.mark.parametrize("valid_for_s", [-1.0, 61.0])
-async def test_actions_are_valid_for_a_while_and_not_for_ever(
-    open_stream: Any, robots: Any, valid_for_s: float
-) -> None:
+async def test_actions_are_valid_for_a_while_and_not_for_ever(open_stream: Any, valid_for_s: float) -> None:
     with pytest.raises(InvalidInput):
         await open_stream().ask(robots.hello(valid_for_s=valid_for_s))
 
@@ -112,7 +110,7 @@ async def test_actions_are_valid_for_a_while_and_not_for_ever(
     [(0.0, 5, 5 + 10_000_000_000), (30.5, 7, 7 + 30_500_000_000), (30.5, LAST_NS - 1, LAST_NS)],
 )
 async def test_a_chunk_says_until_when_it_is_valid_on_the_robots_clock(
-    core: Any, robots: Any, policies: Any, valid_for_s: float, seen_ns: int, until_ns: int
+    core: Any, valid_for_s: float, seen_ns: int, until_ns: int
 ) -> None:
     policy = policies.FaultyPolicy(policies.SEEDS[0])
     policy.spec = replace(policy.spec, control_dt_s=2.0)
@@ -129,7 +127,7 @@ HELLO, NEXT, REPEATED, BACKWARDS, UNREADABLE, NEITHER, BOTH, NO_MESSAGE = range(
 SYMBOLS = (HELLO, NEXT, REPEATED, BACKWARDS, UNREADABLE, NEITHER, BOTH, NO_MESSAGE)
 
 
-def message(robots: Any, symbol: int, last: int) -> Any:
+def message(symbol: int, last: int) -> Any:
     said = {
         HELLO: robots.hello(),
         NEXT: robots.seen(last + 3),
@@ -144,17 +142,17 @@ def message(robots: Any, symbol: int, last: int) -> Any:
 
 
 @pytest.mark.fault("I4")
-async def test_every_short_order_of_messages_comes_to_what_the_protocol_says(open_stream: Any, robots: Any) -> None:
+async def test_every_short_order_of_messages_comes_to_what_the_protocol_says(open_stream: Any) -> None:
     for symbols in itertools.chain.from_iterable(itertools.product(SYMBOLS, repeat=n) for n in (1, 2)):
-        await follow(open_stream(), robots, symbols)
+        await follow(open_stream(), symbols)
     for symbols in itertools.product((NEXT, REPEATED, BACKWARDS, UNREADABLE, HELLO), repeat=3):
-        await follow(open_stream(), robots, (HELLO, *symbols))
+        await follow(open_stream(), (HELLO, *symbols))
 
 
-async def follow(stream: Any, robots: Any, symbols: tuple[int, ...]) -> None:
+async def follow(stream: Any, symbols: tuple[int, ...]) -> None:
     greeted, last = False, 10
     for symbol in symbols:
-        request = message(robots, symbol, last)
+        request = message(symbol, last)
         ends = {NEITHER: InvalidInput, BOTH: InvalidInput, NO_MESSAGE: MalformedRequest}.get(symbol)
         if greeted == (symbol == HELLO) and ends is None:
             ends = FailedPrecondition
@@ -176,7 +174,7 @@ async def follow(stream: Any, robots: Any, symbols: tuple[int, ...]) -> None:
     assert await stream.rest() == []
 
 
-async def test_a_refused_observation_leaves_the_memory_as_it_was(open_stream: Any, robots: Any, policies: Any) -> None:
+async def test_a_refused_observation_leaves_the_memory_as_it_was(open_stream: Any) -> None:
     stream, oracle = open_stream(), await robots.Oracle.of(policies.FaultyPolicy(policies.SEEDS[0]), 3)
     await stream.ask(robots.hello(3))
     for seq in range(0, 12, 4):
@@ -192,7 +190,7 @@ async def test_a_refused_observation_leaves_the_memory_as_it_was(open_stream: An
 
 
 async def test_while_the_model_works_the_newest_observation_waits_and_the_rest_are_counted(
-    open_held_stream: Any, robots: Any
+    open_held_stream: Any,
 ) -> None:
     stream, first, gate = await open_held_stream(robots.hello())
     stream.say(*(robots.seen(seq) for seq in range(1, 6)), robots.seen(5), robots.seen(6))
@@ -204,7 +202,7 @@ async def test_while_the_model_works_the_newest_observation_waits_and_the_rest_a
     assert [replies[i].chunk.dropped for i in (0, 2)] == [5, 5]
 
 
-async def test_time_goes_on_for_those_that_were_overtaken(open_held_stream: Any, robots: Any) -> None:
+async def test_time_goes_on_for_those_that_were_overtaken(open_held_stream: Any) -> None:
     stream, first, gate = await open_held_stream(robots.hello(max_steps_per_goal=6))
     stream.say(*(robots.seen(seq, did=(0, 0)) for seq in range(1, 7)))
     await robots.turns()
@@ -214,7 +212,7 @@ async def test_time_goes_on_for_those_that_were_overtaken(open_held_stream: Any,
 
 
 @pytest.mark.parametrize("refused", ["raises", "nan", "empty", "unreadable"])
-async def test_time_goes_on_for_those_that_were_refused(open_stream: Any, robots: Any, refused: str) -> None:
+async def test_time_goes_on_for_those_that_were_refused(open_stream: Any, refused: str) -> None:
     stream = open_stream()
     await stream.ask(robots.hello(max_steps_per_goal=6))
     for seq, given_up in ((0, False), (2, False), (4, False), (6, True)):
@@ -227,7 +225,7 @@ async def test_time_goes_on_for_those_that_were_refused(open_stream: Any, robots
         assert (await stream.ask(said.get(refused) or robots.seen(seq + 1, fault=refused))).error is not None
 
 
-async def test_time_goes_on_for_those_that_were_not_answered_in_time(core: Any, robots: Any, policies: Any) -> None:
+async def test_time_goes_on_for_those_that_were_not_answered_in_time(core: Any) -> None:
     is_busy = threading.Event()
 
     def hold() -> None:
@@ -249,7 +247,7 @@ async def test_time_goes_on_for_those_that_were_not_answered_in_time(core: Any, 
     assert (await late.ask(robots.seen(4, did=(0, 0)))).chunk.goal_abandoned
 
 
-async def test_refusals_wait_for_a_robot_that_does_not_listen_and_do_not_pile_up(core: Any, robots: Any) -> None:
+async def test_refusals_wait_for_a_robot_that_does_not_listen_and_do_not_pile_up(core: Any) -> None:
     taken = 0
 
     async def requests() -> Any:
@@ -270,7 +268,7 @@ async def test_refusals_wait_for_a_robot_that_does_not_listen_and_do_not_pile_up
 # --- ends
 
 
-async def test_draining_answers_what_came_then_says_so_and_ends(core: Any, open_stream: Any, robots: Any) -> None:
+async def test_draining_answers_what_came_then_says_so_and_ends(core: Any, open_stream: Any) -> None:
     stream = open_stream()
     await stream.ask(robots.hello())
     stream.say(robots.seen(0, hundredths=5))
@@ -282,7 +280,8 @@ async def test_draining_answers_what_came_then_says_so_and_ends(core: Any, open_
         await stream.hear()
 
 
-async def test_a_stream_goes_on_where_another_one_stopped(open_stream: Any, robots: Any, policies: Any) -> None:
+@pytest.mark.fault("I11")
+async def test_a_stream_goes_on_where_another_one_stopped(open_stream: Any) -> None:
     oracle, state = await robots.Oracle.of(policies.FaultyPolicy(policies.SEEDS[0]), 3, 5), b""
     for first in (0, 10):
         stream = open_stream()
@@ -296,9 +295,7 @@ async def test_a_stream_goes_on_where_another_one_stopped(open_stream: Any, robo
 
 
 @pytest.mark.parametrize("before", [0, 1, 2])
-async def test_a_bug_while_reading_is_raised_once_what_came_before_it_is_answered(
-    core: Any, robots: Any, before: int
-) -> None:
+async def test_a_bug_while_reading_is_raised_once_what_came_before_it_is_answered(core: Any, before: int) -> None:
     async def requests() -> Any:
         for request in (robots.hello(), robots.seen(1, hundredths=2))[:before]:
             yield request
@@ -311,7 +308,7 @@ async def test_a_bug_while_reading_is_raised_once_what_came_before_it_is_answere
         await anext(heard)
 
 
-async def test_one_who_leaves_leaves_nothing_behind(open_stream: Any, robots: Any) -> None:
+async def test_one_who_leaves_leaves_nothing_behind(open_stream: Any) -> None:
     before = len(asyncio.all_tasks())
     stream = open_stream()
     await stream.ask(robots.hello())
@@ -319,10 +316,9 @@ async def test_one_who_leaves_leaves_nothing_behind(open_stream: Any, robots: An
     assert len(asyncio.all_tasks()) == before
 
 
+@pytest.mark.fault("I11")
 @pytest.mark.fault("I18")
-async def test_interleaved_streams_hear_what_each_would_hear_alone(
-    open_stream: Any, robots: Any, policies: Any
-) -> None:
+async def test_interleaved_streams_hear_what_each_would_hear_alone(open_stream: Any) -> None:
     async def run(robot: int) -> None:
         rng = np.random.default_rng(robot)
         goals = rng.integers(0, 8, 1 + robot % 3).tolist()
@@ -338,7 +334,7 @@ async def test_interleaved_streams_hear_what_each_would_hear_alone(
 
 
 @pytest.mark.fault("G9")
-async def test_a_stream_that_breaks_the_protocol_keeps_nothing_alive(core: Any, robots: Any) -> None:
+async def test_a_stream_that_breaks_the_protocol_keeps_nothing_alive(core: Any) -> None:
     async def requests() -> AsyncIterator[ControlRequest]:
         yield robots.seen(1)
 
@@ -359,7 +355,7 @@ async def test_a_stream_that_breaks_the_protocol_keeps_nothing_alive(core: Any, 
         gc.enable()
 
 
-async def test_an_error_of_the_hello_ends_the_stream(open_stream: Any, robots: Any) -> None:
+async def test_an_error_of_the_hello_ends_the_stream(open_stream: Any) -> None:
     for change in ({"state": b"x"}, {"goal": robots.goal()}):
         with pytest.raises(ServiceError):
             await open_stream().ask(robots.hello(**change))

@@ -35,7 +35,7 @@ CAMERAS = (Camera("front", SIDE, SIDE, 3),)
 ACTION = ActionSpec(2, 0, ("down", "right"))
 CONTROL = ControlSpec(0.1, 0.5, 12)
 FAST = GoalCloningConfig(
-    steps=200, batch_size=4, lr=5e-3, features=40, hidden_size=64, evaluate_every=100, close_steps=6, far_steps=8
+    steps=100, batch_size=4, lr=5e-3, features=40, hidden_size=64, evaluate_every=50, close_steps=6, far_steps=8
 )
 
 

@@ -13,6 +13,7 @@ import msgpack
 import numpy as np
 import numpy.typing as npt
 import pytest
+from tests.faults import faulty_policy as policies
 
 from freerein.errors import FailedPrecondition, InvalidInput, MalformedRequest
 from freerein.serving.batcher import Batcher
@@ -30,7 +31,7 @@ Ask = Callable[..., Any]
 
 
 @pytest.fixture
-async def connect(policies: Any) -> AsyncIterator[Callable[[bool], Ask]]:
+async def connect() -> AsyncIterator[Callable[[bool], Ask]]:
     """Returns how a robot asks for actions; its actions are targets, or changes."""
     batcher = Batcher(PolicyRunner().run_batch, queue=8, batch=8, metrics=Metrics())
 
@@ -230,7 +231,7 @@ def refused(spec: Any, message: dict[str, Any]) -> InvalidInput:
     return error.value
 
 
-def test_keys_of_another_robot_are_named_and_where_its_picture_belongs(policies: Any) -> None:
+def test_keys_of_another_robot_are_named_and_where_its_picture_belongs() -> None:
     error = refused(policies.FaultyPolicy.spec, DROID)
     assert f"got {', '.join(f'`{key}`' for key in DROID)}." in error.detail
     assert error.hint.startswith("`observation/exterior_image_1_left` is probably `observation/front`.")
@@ -247,12 +248,12 @@ def test_keys_of_another_robot_are_named_and_where_its_picture_belongs(policies:
         ("goal/fornt", "goal/front"),
     ],
 )
-def test_a_key_close_to_a_known_one_is_named_beside_it(policies: Any, key: str, meant: str) -> None:
+def test_a_key_close_to_a_known_one_is_named_beside_it(key: str, meant: str) -> None:
     error = refused(policies.FaultyPolicy.spec, {"observation/front": frame(0), key: 1})
     assert error.hint.startswith(f"`{key}` is probably `{meant}`.")
 
 
-def test_long_and_many_keys_are_not_repeated(policies: Any) -> None:
+def test_long_and_many_keys_are_not_repeated() -> None:
     error = refused(
         policies.FaultyPolicy.spec, {"s3cr3t" * 20: "s3cr3t", "s3cr3t\n": 1, **{f"k{i}": 1 for i in range(9)}}
     )
@@ -278,7 +279,7 @@ def test_a_parameter_that_there_is_not_is_named(key: str, got: str) -> None:
         parse_query([("goal.text", "a"), ("goal.text", "b")])
 
 
-async def test_a_prompt_beside_another_form_of_goal_is_ignored_and_the_reply_says_so(policies: Any) -> None:
+async def test_a_prompt_beside_another_form_of_goal_is_ignored_and_the_reply_says_so() -> None:
     spec = policies.FaultyPolicy.spec
     told = parse_observation(spec, {"observation/front": frame(0), "goal/front": frame(GOAL), "prompt": "pick it up"})
     assert told.goal is not None

@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 import pytest
+from tests.faults import control_robot as robots
+from tests.faults import faulty_policy as policies
 
 from freerein.errors import InvalidInput
 from freerein.serving.batcher import Batcher
@@ -74,7 +76,7 @@ def test_any_size_becomes_the_cameras(mode: Any, size: tuple[int, int]) -> None:
 
 @pytest.mark.parametrize("encode", [raw, png])
 async def test_act_resizes_observation_and_goal_on_request_and_says_so(
-    core: Any, robots: Any, encode: Callable[[Pixels], Image]
+    core: Any, encode: Callable[[Pixels], Image]
 ) -> None:
     large, small = stripes(6, 12), Resizer("crop").resized(stripes(6, 12), CAMERA)
     request = replace(robots.asked(1, 3), observation=Observation((encode(large),)), goal=Goal((encode(large),)))
@@ -91,13 +93,13 @@ async def test_act_resizes_observation_and_goal_on_request_and_says_so(
     assert of_goal.resized
 
 
-async def test_resizing_changes_no_channels(core: Any, robots: Any) -> None:
+async def test_resizing_changes_no_channels(core: Any) -> None:
     request = replace(robots.asked(1, 3), observation=Observation((raw(stripes(6, 6, channels=1)),)), resize="fit")
     with pytest.raises(InvalidInput, match="height, width and channels"):
         await core.act.act(request)
 
 
-async def test_a_stream_takes_cameras_of_other_sizes_on_request(core: Any, robots: Any) -> None:
+async def test_a_stream_takes_cameras_of_other_sizes_on_request(core: Any) -> None:
     stream = robots.Stream(core.control.control)
     cameras = (Camera("front", 6, 12, 3),)
     assert (await stream.ask(robots.hello(255, cameras=cameras, resize="fit"))).spec.cameras == robots.CAMERAS
@@ -108,7 +110,7 @@ async def test_a_stream_takes_cameras_of_other_sizes_on_request(core: Any, robot
     assert await stream.rest() == []
 
 
-async def test_a_robot_with_openpis_client_asks_for_it_in_its_url(policies: Any) -> None:
+async def test_a_robot_with_openpis_client_asks_for_it_in_its_url() -> None:
     batcher = Batcher(PolicyRunner().run_batch, queue=8, batch=8, metrics=Metrics())
     message = pack({"observation/front": stripes(6, 12), "goal/front": stripes(6, 12)})
 

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
+from tests.faults import control_robot as robots
 
 from freerein.data import LeRobotSource, dataset_path, import_trajectories
 from freerein.data.labels import LabelsInfo, LabelsWriter
@@ -132,7 +133,7 @@ def model(data_dir: Path, run_fit: Callable[..., Path]) -> Path:
 def blind(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> SkillCloningPolicy:
     """A policy that was fitted without."""
     source, method = FitDataset.open(data_dir, "arm"), METHODS.by_name["skill_cloning"]
-    config = method.config.from_mapping({**CONFIG, "cameras": ["front"], "steps": 50})
+    config = method.config.from_mapping({**CONFIG, "cameras": ["front"], "steps": 20})
     learner = method.prepare(source, config, torch.device("cpu"))
     fitted = fit(learner, tmp_path_factory.mktemp("fit"))
     assert fitted is not None
@@ -201,7 +202,7 @@ async def doors(model: Path, tmp_path: Path) -> AsyncIterator[Doors]:
     batcher.close()
 
 
-async def test_every_door_takes_the_state_and_refuses_to_act_without(doors: Doors, model: Path, robots: Any) -> None:
+async def test_every_door_takes_the_state_and_refuses_to_act_without(doors: Doors, model: Path) -> None:
     rng, goal = np.random.default_rng(2), Goal(recipe=("towards",))
     pixels, state = frames(rng, 1)[0], states(rng, 1)[0]
     policy = SkillCloningPolicy.load(model, "cpu")

@@ -101,7 +101,7 @@ def policy_of(config: SkillsConfig, folder: Path) -> SkillsPolicy:
 
 @pytest.fixture(scope="module")
 def policy(tmp_path_factory: pytest.TempPathFactory) -> SkillsPolicy:
-    return policy_of(replace(FAST, steps=600, lr=1e-2, evaluate_every=300), tmp_path_factory.mktemp("fit"))
+    return policy_of(replace(FAST, steps=400, lr=1e-2, evaluate_every=200), tmp_path_factory.mktemp("fit"))
 
 
 def test_each_skill_moves_the_hand_towards_its_own_block(policy: SkillsPolicy) -> None:
@@ -137,7 +137,7 @@ def test_recipes_never_demonstrated_are_executed(tmp_path: Path) -> None:
 def test_the_hand_is_found_by_its_own_motion_alone() -> None:
     cloned = learner(replace(FAST, steps=6000))  # 420 of them for the hand
     state, rng = cloned.init(torch.Generator().manual_seed(0)), np.random.default_rng(0)
-    for _ in range(400):
+    for _ in range(300):
         state, _ = cloned.update(state, rng.integers(0, cloned.size, 32))
     columns = np.linspace(2, SIDE - 3, 12)
     frames = torch.from_numpy(np.stack([picture(column, 6.0, 17.0) for column in columns]))
