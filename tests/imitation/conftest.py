@@ -48,7 +48,7 @@ async def core(tmp_path: Path) -> AsyncIterator[Core]:
     metrics, health = Metrics(), Health()
     batcher = Batcher(PolicyRunner().run_batch, queue=64, batch=32, metrics=metrics)
     control = ControlService(models, batcher, health=health, drain_s=5.0)
-    yield Core(ActService(models, batcher, timeout_s=10.0), control, models, health, versions, around, metrics)
+    yield Core(ActService(models, batcher), control, models, health, versions, around, metrics)
     batcher.close()
 
 

@@ -58,7 +58,7 @@ async def act(folder: Path, tmp_path: Path) -> AsyncIterator[ActService]:
     store.activate(store.publish("", shutil.copytree(folder, tmp_path / "copy")))
     models: Any = ModelCache(store, lambda path: METHODS.load(path, "cpu"), fit_command="none")
     batcher = Batcher(PolicyRunner().run_batch, queue=4, batch=4, metrics=Metrics())
-    yield ActService(models, batcher, timeout_s=10.0)
+    yield ActService(models, batcher)
     batcher.close()
 
 

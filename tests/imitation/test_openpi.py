@@ -39,7 +39,7 @@ async def connect() -> AsyncIterator[Callable[[bool], Ask]]:
         policy = policies.FaultyPolicy(7)
         policy.spec = replace(policy.spec, action=replace(policy.spec.action, absolute=absolute))
         query = OpenpiQuery(ModelRef(), None, 100, 0)
-        connection = OpenpiConnection(ModelRef("targets", "1"), policy, query, batcher, timeout_s=30.0)
+        connection = OpenpiConnection(ModelRef("targets", "1"), policy, query, batcher)
 
         async def ask(brightness: int, **values: Any) -> Any:
             seen = {"observation/front": frame(brightness), "goal/front": frame(GOAL), **values}

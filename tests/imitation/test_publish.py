@@ -72,7 +72,7 @@ class Served:
         store = ModelStore(data_dir / "models" / "imitation")
         models = ModelCache(store, lambda folder: METHODS.load(folder, "cpu"), fit_command="none")
         self.batcher = Batcher(PolicyRunner().run_batch, queue=8, batch=8, metrics=Metrics())
-        self.acts = ActService(models, self.batcher, timeout_s=10.0)
+        self.acts = ActService(models, self.batcher)
         self.publishes = PublishService(models, data_dir)
 
     async def publish(self, name: str = "") -> ModelRef:

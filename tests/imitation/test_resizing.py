@@ -116,7 +116,7 @@ async def test_a_robot_with_openpis_client_asks_for_it_in_its_url() -> None:
 
     async def reply(*query: tuple[str, str]) -> dict[str, Any]:
         asked = parse_query(query)
-        connection = OpenpiConnection(ModelRef("p", "1"), policies.FaultyPolicy(7), asked, batcher, timeout_s=30.0)
+        connection = OpenpiConnection(ModelRef("p", "1"), policies.FaultyPolicy(7), asked, batcher)
         return unpack(await connection.answer(message))
 
     assert (await reply(("resize", "fit")))["resized"] is True

@@ -195,9 +195,9 @@ async def doors(model: Path, tmp_path: Path) -> AsyncIterator[Doors]:
     models: Any = ModelCache(store, lambda folder: METHODS.load(folder, "cpu"), fit_command="none")
     batcher = Batcher(PolicyRunner().run_batch, queue=64, batch=32, metrics=Metrics())
     yield Doors(
-        ActService(models, batcher, timeout_s=30.0),
+        ActService(models, batcher),
         ControlService(models, batcher, health=Health(), drain_s=5.0),
-        OpenpiService(models, batcher, timeout_s=30.0),
+        OpenpiService(models, batcher),
     )
     batcher.close()
 

@@ -74,7 +74,7 @@ async def start(tmp_path: Path) -> AsyncIterator[Start]:
         await models.start()
         goals = GoalCache(CACHE_BYTES)
         batchers.append(Batcher(Inference(goals).run, queue=64, batch=8, metrics=Metrics()))
-        return RewardCore(models, batchers[-1], goals, timeout_s=10.0)
+        return RewardCore(models, batchers[-1], goals)
 
     yield begin
     for batcher in batchers:

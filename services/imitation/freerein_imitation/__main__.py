@@ -45,11 +45,11 @@ def build(
         NAME,
         imitation_pb2.DESCRIPTOR.services_by_name["ImitationService"],
         lambda models: (
-            ActService(models, batcher, timeout_s=limits.unary_s),
+            ActService(models, batcher),
             ControlService(models, batcher, health=health, drain_s=limits.drain_s),
             PublishService(models, settings.data_dir),
         ),
-        make_websocket=lambda models: OpenpiService(models, batcher, timeout_s=limits.unary_s).open,
+        make_websocket=lambda models: OpenpiService(models, batcher).open,
         settings=settings,
         health=health,
         batcher=batcher,

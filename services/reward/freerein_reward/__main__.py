@@ -59,8 +59,8 @@ def build(
         NAME,
         reward_pb2.DESCRIPTOR.services_by_name["RewardService"],
         lambda models: (
-            RewardCore(models, batcher, goals, timeout_s=limits.unary_s),
-            GroundingCore(models, batcher, timeout_s=limits.unary_s),
+            RewardCore(models, batcher, goals),
+            GroundingCore(models, batcher),
         ),
         settings=settings,
         health=health,

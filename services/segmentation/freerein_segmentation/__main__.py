@@ -40,8 +40,8 @@ def build(
         NAME,
         segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"],
         lambda models: (
-            Segmenter(models, batcher, limits.unary_s, VideoDecoding(limits.videos)),
-            SegmentStreamService(models, batcher, limits.unary_s, health=health, drain_s=limits.drain_s),
+            Segmenter(models, batcher, VideoDecoding(limits.videos)),
+            SegmentStreamService(models, batcher, health=health, drain_s=limits.drain_s),
         ),
         settings=settings,
         health=health,

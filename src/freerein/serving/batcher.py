@@ -62,7 +62,8 @@ class Batcher(Generic[I, O]):
         queue: Largest number of queued items.
         batch: Largest number of items in one model call.
         metrics: Measures queue length, batch sizes and whether the thread is stuck.
-        call_s: Seconds after which a model call is stuck; after four times that the model hangs.
+        call_s: Longest time of an item in the queue, in seconds, unless it is submitted with another; seconds after
+            which a model call is stuck; after four times that the model hangs.
     """
 
     def __init__(
@@ -101,13 +102,13 @@ class Batcher(Generic[I, O]):
         """Returns whether the model has been stuck for so long that only a new process helps."""
         return self._in_call_s() > _HANGS_AFTER_CALLS * self._call_s
 
-    async def submit(self, item: I, *, key: Hashable = None, timeout_s: float) -> BatchResult[O]:
+    async def submit(self, item: I, *, key: Hashable = None, timeout_s: float | None = None) -> BatchResult[O]:
         """Returns the model's output for an item. A cancelled item is removed from the queue.
 
         Args:
             item: The item.
             key: Only items of equal keys share a batch.
-            timeout_s: Longest time in the queue, in seconds.
+            timeout_s: Longest time in the queue, in seconds; None for `call_s`.
 
         Raises:
             Overloaded: The queue is full.
@@ -120,7 +121,7 @@ class Batcher(Generic[I, O]):
         if self._results is None or self._results.loop is not loop:
             self._results = ThreadResults(loop)
         future: asyncio.Future[BatchResult[O]] = loop.create_future()
-        deadline = time.monotonic() + timeout_s
+        deadline = time.monotonic() + (self._call_s if timeout_s is None else timeout_s)
         queued = _QueuedItem(item, key, deadline, future, self._results, time.perf_counter_ns())
         with self._lock:
             if self._closed:

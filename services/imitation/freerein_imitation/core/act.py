@@ -20,12 +20,10 @@ class ActService:
     Attributes:
         models: The policies.
         batcher: Runs `PolicyRunner.run_batch` on the model's thread.
-        timeout_s: Longest wait of an observation for the model, in seconds.
     """
 
     models: Policies
     batcher: PolicyBatcher
-    timeout_s: float
 
     async def get_spec(self, request: GetSpecRequest) -> GetSpecResponse:
         """Returns a model's spec.
@@ -52,5 +50,5 @@ class ActService:
         session = PolicySession(context, state=request.state)
         executed = request.executed_actions
         parsed = await session.parse(request.observation, executed, elapsed=elapsed_steps(executed))
-        done = await self.batcher.submit(parsed, key=model, timeout_s=self.timeout_s)
+        done = await self.batcher.submit(parsed, key=model)
         return ActResponse(**session.answer(done, arrived_ns=start_ns), state=session.state, model=model)

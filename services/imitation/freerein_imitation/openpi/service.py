@@ -58,12 +58,10 @@ class OpenpiService:
     Attributes:
         models: The policies.
         batcher: Runs `PolicyRunner.run_batch` on the model's thread.
-        timeout_s: Longest wait of an observation for the model, in seconds.
     """
 
     models: Policies
     batcher: PolicyBatcher
-    timeout_s: float
 
     async def open(self, query: Sequence[tuple[str, str]]) -> "OpenpiConnection":
         """Returns a connection as the query of its URL asks for.
@@ -75,7 +73,7 @@ class OpenpiService:
         """
         asked = parse_query(query)
         model, policy = await self.models.resolve(asked.model)
-        connection = OpenpiConnection(model, policy, asked, self.batcher, timeout_s=self.timeout_s)
+        connection = OpenpiConnection(model, policy, asked, self.batcher)
         if asked.goal is not None:
             await connection.pursue(asked.goal)
         return connection
@@ -88,15 +86,12 @@ class OpenpiConnection:
         greeting: The message sent on connect: the model's spec.
     """
 
-    def __init__(
-        self, model: ModelRef, policy: Policy, query: OpenpiQuery, batcher: PolicyBatcher, *, timeout_s: float
-    ) -> None:
+    def __init__(self, model: ModelRef, policy: Policy, query: OpenpiQuery, batcher: PolicyBatcher) -> None:
         self.greeting = pack(wire.to_json(spec_response(model, policy.spec)))
         self._model = model
         self._policy = policy
         self._query = query
         self._batcher = batcher
-        self._timeout_s = timeout_s
         self._goal: object = None
         self._context: ActContext | None = None
         self._session: PolicySession | None = None
@@ -118,7 +113,7 @@ class OpenpiConnection:
         session = await self._session_of(message)
         executed = self._proposed if message.executed_actions is None else message.executed_actions
         parsed = await session.parse(message.observation, executed, elapsed=elapsed_steps(executed))
-        done = await self._batcher.submit(parsed, key=self._model, timeout_s=self._timeout_s)
+        done = await self._batcher.submit(parsed, key=self._model)
         reply = session.answer(done, arrived_ns=arrived_ns)
         self._proposed = reply["actions"][: self._query.action_horizon or None]
         if executed is not None and len(executed):

@@ -44,7 +44,6 @@ class GroundingCore:
 
     models: ModelCache[RewardModel | GroundingModel]
     batcher: InferenceBatcher
-    timeout_s: float
 
     async def ground(self, request: GroundRequest) -> GroundResponse:
         """Returns the location of each phrase in an image.
@@ -96,7 +95,7 @@ class GroundingCore:
 
     def _submit(self, item: GroundItem) -> Awaitable[BatchResult[PhraseLocations]]:
         """Locates phrases in a few images, in a batch of their own."""
-        return self.batcher.submit(item, key=object(), timeout_s=self.timeout_s)
+        return self.batcher.submit(item, key=object())
 
 
 def captions(

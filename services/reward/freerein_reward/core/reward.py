@@ -1,7 +1,7 @@
 """`RewardCore`: rewards of frames against a goal text, and embeddings of goal texts."""
 
 import asyncio
-from collections.abc import Awaitable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein.goal_text import GoalText, Grammar
-from freerein.serving.batcher import BatchResult
 from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
@@ -36,7 +35,6 @@ class RewardCore:
     models: ModelCache[RewardModel | GroundingModel]
     batcher: InferenceBatcher
     goals: GoalCache
-    timeout_s: float
 
     async def reward(self, request: RewardRequest) -> RewardResponse:
         """Returns the reward of every frame for a goal text (section 4.2), read by the model's grammar.
@@ -59,7 +57,7 @@ class RewardCore:
             stop = min(start + _FRAMES_AT_ONCE, count)
             views = await timer.decode(asyncio.to_thread(_views, frames, model, start, stop))
             key = ref if count == 1 else object()  # single frames share a batch with those of other requests
-            parts.append(timer.output(await self._submit(ScoreItem(ref, model, texts, views), key)))
+            parts.append(timer.output(await self.batcher.submit(ScoreItem(ref, model, texts, views), key=key)))
         similarities = np.concatenate([part.similarities for part in parts])  # (N, K)
         winners = _winners(similarities, is_known=not goal.unknown)
         return RewardResponse(
@@ -85,7 +83,7 @@ class RewardCore:
         goal = model.grammar.read(request.goal_text)
         found = self.goals.find(ref, goal.text)
         if found is None:
-            (found,) = timer.output(await self._submit(ScoreItem(ref, model, (goal.text,)), ref)).goals
+            (found,) = timer.output(await self.batcher.submit(ScoreItem(ref, model, (goal.text,)), key=ref)).goals
         return EmbedGoalResponse(
             embedding=found.vector,
             truncated=found.truncated,
@@ -100,9 +98,6 @@ class RewardCore:
         if not isinstance(model, RewardModel) or (isinstance(model, GroundingModel) and not allow_grounding):
             raise wrong_kind(ref, got="grounding", expected="reward")
         return ref, model
-
-    def _submit(self, item: ScoreItem, key: object) -> Awaitable[BatchResult[Scores]]:
-        return self.batcher.submit(item, key=key, timeout_s=self.timeout_s)
 
 
 def _decode(

@@ -36,14 +36,12 @@ class SegmentStreamService:
     Attributes:
         models: The models.
         batcher: Runs `run_batch` on the model's thread.
-        timeout_s: Longest time in its queue, in seconds.
         health: Tells when the service drains.
         drain_s: Time to drain that streams are told, in seconds.
     """
 
     models: ModelCache[SkillModel]
     batcher: SegmentationBatcher
-    timeout_s: float
     health: Health
     drain_s: float
 
@@ -80,7 +78,7 @@ class SegmentStreamService:
             )
         check_options(request.hello.smoothing, request.hello.min_confidence, min_kept=request.hello.min_kept)
         ref, model = await self.models.resolve(request.hello.model)
-        return _Session(ref, model, request.hello, self.batcher, self.timeout_s)
+        return _Session(ref, model, request.hello, self.batcher)
 
 
 class _Session:
@@ -90,9 +88,7 @@ class _Session:
         opened: Answers the Hello.
     """
 
-    def __init__(
-        self, ref: ModelRef, model: SkillModel, hello: SegmentHello, batcher: SegmentationBatcher, timeout_s: float
-    ) -> None:
+    def __init__(self, ref: ModelRef, model: SkillModel, hello: SegmentHello, batcher: SegmentationBatcher) -> None:
         self._model = model
         self._predictions = model.stream()
         self._decoder = StreamDecoder(
@@ -102,7 +98,6 @@ class _Session:
             min_kept=hello.min_kept,
         )
         self._batcher = batcher
-        self._timeout_s = timeout_s
         self._last_seq = -1
         self.opened = SegmentStreamOpened(describe(ref, model), (model.lag or 0) + self._decoder.lag)
 
@@ -133,7 +128,7 @@ class _Session:
             return _error(seq, refused)
         step = partial(push, self._predictions, frames, actions)
         try:
-            done = await self._batcher.submit(step, key=self, timeout_s=self._timeout_s)
+            done = await self._batcher.submit(step, key=self)
         except (Overloaded, DeadlineExceeded) as refused:  # before the model has seen it
             return _error(seq, refused)
         final, provisional = timer.output(done)
@@ -143,7 +138,7 @@ class _Session:
     async def end(self) -> SegmentStreamResponse:
         """Returns all labels that are left."""
         timer = CallTimer()
-        done = await self._batcher.submit(partial(finish, self._predictions), key=self, timeout_s=self._timeout_s)
+        done = await self._batcher.submit(partial(finish, self._predictions), key=self)
         finished = self._decoder.finish(timer.output(done))
         return SegmentStreamResponse(labels=_labels(finished, finished.timeline.labels[:0], timer))
 

@@ -1,23 +1,20 @@
 """`Segmenter`: labels trajectories with skills."""
 
 import asyncio
-from collections.abc import Awaitable
 from contextlib import aclosing
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
-from freerein.serving.batcher import BatchResult
 from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
 from freerein_segmentation.core import decoding
-from freerein_segmentation.core.inference import SegmentationBatcher, SkillModel, Work, predict, predict_encoded
+from freerein_segmentation.core.inference import SegmentationBatcher, SkillModel, predict, predict_encoded
 from freerein_segmentation.core.inputs import (
     check_length,
     check_one_form,
@@ -36,13 +33,11 @@ class Segmenter:
     Attributes:
         models: The models.
         batcher: Runs `run_batch` on the model's thread.
-        timeout_s: Longest time in its queue, in seconds.
         videos: Decodes videos.
     """
 
     models: ModelCache[SkillModel]
     batcher: SegmentationBatcher
-    timeout_s: float
     videos: VideoDecoding
 
     async def list_skills(self, request: ListSkillsRequest) -> ListSkillsResponse:
@@ -75,7 +70,7 @@ class Segmenter:
             prediction, time_s = await self._predict_video(ref, model, replace(request, fps=fps), timer)
         else:
             frames, actions = await timer.decode(read_timesteps(model, request))
-            prediction = timer.output(await self._submit(partial(predict, model, frames, actions), ref))
+            prediction = timer.output(await self.batcher.submit(partial(predict, model, frames, actions), key=ref))
         labels, confidence, segments = await asyncio.to_thread(
             decoding.decode,
             prediction.probabilities,
@@ -105,14 +100,13 @@ class Segmenter:
                 did = None if actions is None else actions[at]
                 if did is not None and len(did) < len(chunk.frames):
                     break
-                parts.append(timer.output(await self._submit(partial(model.encode, chunk.frames, did), ref)))
+                done = await self.batcher.submit(partial(model.encode, chunk.frames, did), key=ref)
+                parts.append(timer.output(done))
                 times.append(chunk.time_s)
         if actions is not None and len(actions) != count:
             raise _unequal(len(actions), count, request.fps)
-        return timer.output(await self._submit(partial(predict_encoded, model, parts), ref)), np.concatenate(times)
-
-    def _submit(self, work: Work, ref: ModelRef) -> Awaitable[BatchResult[Any]]:
-        return self.batcher.submit(work, key=ref, timeout_s=self.timeout_s)
+        done = await self.batcher.submit(partial(predict_encoded, model, parts), key=ref)
+        return timer.output(done), np.concatenate(times)
 
 
 def _unequal(actions: int, timesteps: int, fps: float) -> InvalidInput:
