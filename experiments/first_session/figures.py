@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from experiments.first_session.pipeline import SIDES
 from freerein.cli.demo.evaluations import Measured
@@ -80,36 +81,24 @@ class Session:
         return self.evaluations[step][name]
 
 
-@dataclass(frozen=True)
-class _Row:
-    """A figure that an evaluation has as it is shown; attributes as of `Figure`, and the step and its figure."""
-
-    name: str
-    step: str
-    figure: str
-    baseline_text: str = ""
-    at_least: float | None = None
-    at_most: float | None = None
-    beats_baseline: bool = False
-
-
 _LONGEST_SKILL = "each trajectory's longest skill"
 _MAJORITY, _CONSTANT = "majority guess", "constant guess"
 
-_ROWS = (
-    _Row("grid.frame_accuracy", "grid-labels", "frame_accuracy", _LONGEST_SKILL, at_least=0.99),
-    _Row("reward.two_blocks.accuracy", "two-blocks", "accuracy", _MAJORITY, beats_baseline=True),
-    _Row("reward.two_blocks.balanced_accuracy", "two-blocks", "balanced_accuracy", _CONSTANT, at_least=0.93),
-    _Row("reward.four_blocks.accuracy", "four-blocks", "accuracy", _MAJORITY, beats_baseline=True),
-    _Row("reward.four_blocks.balanced_accuracy", "four-blocks", "balanced_accuracy", _CONSTANT, at_least=0.85),
-    _Row("imitation.landmarks_reached", "landmarks", "landmarks_reached", "random actions", beats_baseline=True),
-    _Row("imitation.landmarks_free", "landmarks", "no_object_moves.landmarks_recognized", at_least=0.85),
-    _Row("imitation.landmarks_block", "landmarks", "object_moves.landmarks_recognized", at_least=0.55),
-    _Row("imitation.goal_auroc", "landmarks", "visited.goal_auroc", "chance", at_least=0.95),
-    _Row("imitation.goal_ece", "landmarks", "visited.goal_ece", at_most=0.05),
-    _Row("recipe.skills_completed", "recipes", "skills_completed", "random actions", at_least=0.8),
-    _Row("recipe.whole", "recipes", "whole", at_least=0.45),
+_ROWS: tuple[tuple[str, str, str, str, Mapping[str, Any]], ...] = (
+    ("grid.frame_accuracy", "grid-labels", "frame_accuracy", _LONGEST_SKILL, {"at_least": 0.99}),
+    ("reward.two_blocks.accuracy", "two-blocks", "accuracy", _MAJORITY, {"beats_baseline": True}),
+    ("reward.two_blocks.balanced_accuracy", "two-blocks", "balanced_accuracy", _CONSTANT, {"at_least": 0.93}),
+    ("reward.four_blocks.accuracy", "four-blocks", "accuracy", _MAJORITY, {"beats_baseline": True}),
+    ("reward.four_blocks.balanced_accuracy", "four-blocks", "balanced_accuracy", _CONSTANT, {"at_least": 0.85}),
+    ("imitation.landmarks_reached", "landmarks", "landmarks_reached", "random actions", {"beats_baseline": True}),
+    ("imitation.landmarks_free", "landmarks", "no_object_moves.landmarks_recognized", "", {"at_least": 0.85}),
+    ("imitation.landmarks_block", "landmarks", "object_moves.landmarks_recognized", "", {"at_least": 0.55}),
+    ("imitation.goal_auroc", "landmarks", "visited.goal_auroc", "chance", {"at_least": 0.95}),
+    ("imitation.goal_ece", "landmarks", "visited.goal_ece", "", {"at_most": 0.05}),
+    ("recipe.skills_completed", "recipes", "skills_completed", "random actions", {"at_least": 0.8}),
+    ("recipe.whole", "recipes", "whole", "", {"at_least": 0.45}),
 )
+"""Figures of evaluations: name, step, name in the evaluation, trivial answer, and bar."""
 
 
 def figures(session: Session) -> list[Figure]:
@@ -121,7 +110,7 @@ def figures(session: Session) -> list[Figure]:
     bar = (labels.baseline or 0) + 0.25
     return [
         Figure("segmentation.frame_accuracy", session.trials["blocks-labels"], labels, _LONGEST_SKILL, at_least=bar),
-        *(_figure(session, row) for row in _ROWS if row.figure in session.evaluations[row.step]),
+        *_evaluation_figures(session),
         *_policy_figures(session),
         *(
             Figure(f"{step}.training_s", 1, Measured(session.seconds[step], None, None, None))
@@ -130,17 +119,13 @@ def figures(session: Session) -> list[Figure]:
     ]
 
 
-def _figure(session: Session, row: _Row) -> Figure:
-    measured = session.figure(row.step, row.figure)
-    return Figure(
-        row.name,
-        session.trials[row.step],
-        measured if row.baseline_text else replace(measured, baseline=None),
-        row.baseline_text,
-        at_least=row.at_least,
-        at_most=row.at_most,
-        beats_baseline=row.beats_baseline,
-    )
+def _evaluation_figures(session: Session) -> Iterator[Figure]:
+    """Yields the figures of `_ROWS` that were measured."""
+    for name, step, figure, baseline_text, bar in _ROWS:
+        if figure in session.evaluations[step]:
+            measured = session.figure(step, figure)
+            shown = measured if baseline_text else replace(measured, baseline=None)
+            yield Figure(name, session.trials[step], shown, baseline_text, **bar)
 
 
 def _policy_figures(session: Session) -> Iterator[Figure]:

@@ -1,4 +1,8 @@
-"""Decoded labels of test trajectories, which results hold, and what follows from them without training."""
+"""Decoded labels of test trajectories, which results hold, and what follows from them without training.
+
+A network that sees nothing of the future names a skill after it has begun, so that its boundaries are late by about as
+many timesteps everywhere.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,15 +12,18 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from experiments.segmentation.delay import MOST, boundary_errors, moved
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.segmentation.guesses import TRUTH
 from experiments.segmentation.packed import PACKED, PACKED_DECODED, unpack
 from experiments.segmentation.rows import PER_CENT, Row, Rows
 from experiments.workbench import claims
 from experiments.workbench.results import ArmResult, Sample
+from freerein import metrics
 
 Labels = npt.NDArray[np.int64]
+
+_MOST = 15
+"""Most timesteps that labels are moved by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +58,7 @@ class Decoded:
 
     def best_delay(self) -> int:
         """Returns how many timesteps earlier labels are most accurate: by true labels, for the development world."""
-        values = [claims.mean(self.samples(partial(moved, timesteps=timesteps))) for timesteps in range(MOST + 1)]
+        values = [claims.mean(self.samples(partial(moved, timesteps=timesteps))) for timesteps in range(_MOST + 1)]
         return int(np.argmax(values))
 
     def value(self, change: Callable[[Labels], Labels]) -> float:
@@ -62,3 +69,21 @@ class Decoded:
 def _unpacked(arm: ArmResult, name: str) -> list[Labels]:
     lengths = [int(count) for count in arm.samples[f"test.{FRAME_ACCURACY}"].counts]
     return unpack(cast(str, arm.shown[f"test.{name}"]), lengths)
+
+
+def moved(labels: Labels, timesteps: int) -> Labels:
+    """Returns labels (T,) so many timesteps earlier; the last skill lasts until the end."""
+    return labels[np.minimum(np.arange(len(labels)) + timesteps, len(labels) - 1)]
+
+
+def boundary_errors(predicted: Labels, truth: Labels) -> list[int]:
+    """Returns by how many timesteps the skills of labels (T,) begin late, for each boundary of the true ones.
+
+    It is that of the nearest beginning of the boundary's skill; a boundary whose skill never begins is left out.
+    """
+    starts, errors = metrics.run_starts(predicted)[1:], []
+    for boundary in metrics.run_starts(truth)[1:]:
+        of_skill = starts[predicted[starts] == truth[boundary]] - boundary
+        if len(of_skill):
+            errors.append(int(of_skill[np.abs(of_skill).argmin()]))
+    return errors

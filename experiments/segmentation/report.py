@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from experiments.segmentation.dataset import SPLITS, SplitName
-from experiments.segmentation.decoded import Decoded
-from experiments.segmentation.delay import moved
+from experiments.segmentation.decoded import Decoded, moved
 from experiments.segmentation.evaluation import ACTION_LOSS, DECODED_ACCURACY, FRAME_ACCURACY
 from experiments.segmentation.guesses import TRUTH, in_equal_parts
 from experiments.segmentation.rows import LEAST_GAP, PER_CENT, Row, Rows

@@ -11,7 +11,6 @@ import pytest
 import torch
 from experiments.segmentation import (
     dataset,
-    delay,
     draw,
     evaluation,
     guesses,
@@ -21,7 +20,7 @@ from experiments.segmentation import (
     weakly_supervised,
 )
 from experiments.segmentation.dataset import DatasetSpec, SplitSpec
-from experiments.segmentation.decoded import Decoded
+from experiments.segmentation.decoded import Decoded, boundary_errors, moved
 from experiments.segmentation.packed import pack, unpack
 from experiments.segmentation.rows import Row, Rows
 from experiments.segmentation.study import Method, Study
@@ -166,10 +165,10 @@ def test_uncertain_timesteps_are_rejected_too() -> None:
 def test_labels_that_are_late_are_as_late_as_they_were_made_and_come_right_when_moved() -> None:
     truth_labels = np.repeat([0, 3, 1], [9, 6, 5])
     late = np.repeat([0, 3, 1], [11, 6, 3])
-    assert delay.boundary_errors(late, truth_labels) == [2, 2]
-    assert delay.boundary_errors(truth_labels, late) == [-2, -2]
-    assert delay.boundary_errors(np.repeat([3, 1], [15, 5]), truth_labels) == [0]  # skill 3 never begins
-    assert delay.moved(late, 2).tolist() == truth_labels.tolist()
+    assert boundary_errors(late, truth_labels) == [2, 2]
+    assert boundary_errors(truth_labels, late) == [-2, -2]
+    assert boundary_errors(np.repeat([3, 1], [15, 5]), truth_labels) == [0]  # skill 3 never begins
+    assert moved(late, 2).tolist() == truth_labels.tolist()
     decoded = Decoded([[late], [truth_labels]], [truth_labels])
     assert decoded.boundary_error() == (1.0, 1.0)
     assert [sample.mean for sample in decoded.samples()] == [0.8, 1.0]
