@@ -79,7 +79,7 @@ def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: RewardModelLear
 def test_a_fitted_model_rewards_no_goal_in_a_frame_that_shows_nothing(tmp_path: Path) -> None:
     store = ModelStore(SHIPPED)
     grounding = load_grounding(store.folder(ModelRef("grounding", store.active_version("grounding"))), "cpu")
-    config = replace(FAST, steps=80, batch_size=16, evaluate_every=40, checkpoint_every=80, augmentation=0.0)
+    config = replace(FAST, steps=50, batch_size=16, evaluate_every=25, checkpoint_every=50, augmentation=0.0)
     training, validation = blocks(200, seed=0, missing=0.3), blocks(40, seed=1, missing=0.3)
     spec = network_spec(grounding.network.spec, config)
     fitted = fit(RewardModelLearner(config, spec, training, validation, grounding, "", "", CPU), tmp_path)

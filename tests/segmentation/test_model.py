@@ -105,24 +105,23 @@ def test_a_network_can_be_shown_less_of_the_future_than_it_sees(context: int) ->
     assert not (scores == changed)[:, 6 - context].all()
 
 
-@pytest.mark.parametrize("context", [0, 1, 5, 200])
-@pytest.mark.parametrize("stride", [1, 3])
-@pytest.mark.parametrize("sizes", [(1,) * 40, (40,), (0, 7, 1, 1, 19, 2, 10)])
+@pytest.mark.parametrize(("context", "stride"), [(0, 1), (1, 3), (5, 1), (5, 3), (200, 1)])
 def test_a_stream_predicts_what_the_whole_trajectory_does_as_soon_as_its_lag_has_passed(
-    context: int, stride: int, sizes: tuple[int, ...]
+    context: int, stride: int
 ) -> None:
     model = SegmentationModel(make(replace(CONTINUOUS, context=context, stride=stride)))
     assert model.lag == context * stride
     frames, actions = trajectory(CONTINUOUS, 40)
-    stream, parts, stops = model.stream(), [], np.cumsum(sizes)
-    for start, stop in zip([0, *stops[:-1]], stops, strict=True):
-        parts.append(stream.push(frames[start:stop], actions[start:stop]))
-        assert sum(len(part.probabilities) for part in parts) == max(0, stop - model.lag)
-    parts.append(stream.finish())
     whole = model.predict(frames, actions)
-    for name in ("probabilities", "in_distribution"):
-        together = np.concatenate([getattr(part, name) for part in parts])
-        np.testing.assert_allclose(together, getattr(whole, name), atol=1e-6)
+    for sizes in ((1,) * 40, (40,), (0, 7, 1, 1, 19, 2, 10)):
+        stream, parts, stops = model.stream(), [], np.cumsum(sizes)
+        for start, stop in zip([0, *stops[:-1]], stops, strict=True):
+            parts.append(stream.push(frames[start:stop], actions[start:stop]))
+            assert sum(len(part.probabilities) for part in parts) == max(0, stop - model.lag)
+        parts.append(stream.finish())
+        for name in ("probabilities", "in_distribution"):
+            together = np.concatenate([getattr(part, name) for part in parts])
+            np.testing.assert_allclose(together, getattr(whole, name), atol=1e-6)
 
 
 def test_what_a_stream_has_not_finished_is_predicted_as_if_the_trajectory_ended_there() -> None:

@@ -17,7 +17,6 @@ from freerein.types.common import ActionSpec, Camera
 from freerein.types.segmentation import FLAGGED
 from freerein_segmentation import training
 from freerein_segmentation.model import ModelSpec, SegmentationModel
-from freerein_segmentation.objectives import OBJECTIVES
 from freerein_segmentation.training import Confidence, SegmentationConfig, SegmentationLearner, self_training
 
 SKILLS = ("blue", "green", "red")
@@ -63,11 +62,12 @@ def learner(config: SegmentationConfig = FAST) -> SegmentationLearner:
 @pytest.mark.parametrize(
     "change",
     [
-        *({"objective": name, **(STEADY if name.startswith("ccnn") else {})} for name in OBJECTIVES),
-        {"context": 0, **STEADY},
+        {"objective": "lse_per_timestep"},
+        {"objective": "lse"},
+        {"objective": "mil"},
+        {"objective": "ccnn", **STEADY},
         {"context": 2, "final_objective": "set_likelihood"},
-        {"final_objective": "self_training", "action_evidence": 0.3, "rounds": 2},
-        {"final_objective": "self_training", "tag_context": 0, "rounds": 2},
+        {"final_objective": "self_training", "action_evidence": 0.3, "tag_context": 0, "rounds": 2},
     ],
     ids=lambda change: "-".join(str(value) for key, value in change.items() if key not in STEADY),
 )
@@ -131,11 +131,9 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
 @pytest.mark.parametrize(
     "change",
     [
-        {"augmentation": 0.0},
         {"stride": 3},
         {"final_objective": "set_likelihood", "augmentation": 0.0, "context": 2},
-        {"final_objective": "self_training", "action_evidence": 0.3, "rounds": 2, "stride": 2, "final_share": 0.7},
-        {"final_objective": "self_training", "tag_context": 1, "rounds": 2},
+        {"final_objective": "self_training", "action_evidence": 0.3, "tag_context": 1, "rounds": 2, "final_share": 0.7},
     ],
 )
 def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(tmp_path: Path, change: dict[str, Any]) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import psutil
 import pytest
 from tests.child_processes import children_running
+from tests.waiting import wait_until
 
 from freerein.errors import InvalidInput, Overloaded
 from freerein.types.common import Camera
@@ -48,9 +49,7 @@ async def leave(call: "asyncio.Task[Any]") -> None:
 
 
 async def until(condition: Callable[[], Any]) -> None:
-    async with asyncio.timeout(60):
-        while not condition():
-            await asyncio.to_thread(lambda: None)
+    await asyncio.to_thread(wait_until, condition)
 
 
 @pytest.fixture
