@@ -43,8 +43,7 @@ class Image:
     """One encoded image; `freerein.images` decodes it.
 
     Attributes:
-        height: Height in pixels; required for the raw encodings, 0 for "as in the file" for the others.
-        width: Width in pixels; as `height`.
+        height, width: Size in pixels; required for the raw encodings, 0 for "as in the file" for the others.
         data: The encoded bytes; for raw encodings height * width * channels bytes, row by row.
         camera: Name of the camera; may be empty for a single camera.
     """
@@ -80,8 +79,7 @@ class Camera:
     """A camera of a world or a robot.
 
     Attributes:
-        height: Frame height in pixels; of a world, the default of rendering.
-        width: Frame width in pixels; as `height`.
+        height, width: Frame size in pixels; of a world, the default of rendering.
         channels: 1 or 3.
     """
 

@@ -180,9 +180,7 @@ class StreamLabels:
 
     Attributes:
         start: First timestep of `labels`.
-        labels: int64 (n,), final, as in `SegmentResponse`.
-        confidence: float32 (n,), as there.
-        in_distribution: float32 (n,), as there.
+        labels, confidence, in_distribution: (n,), final, as in `SegmentResponse`.
         segments: Segments that ended, or with the stream, in order.
         provisional: int64 (m,), labels of the timesteps that follow, up to the newest, as if the trajectory ended
             there; later ones may differ.

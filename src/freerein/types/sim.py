@@ -83,8 +83,7 @@ class CreateSessionRequest:
         num_envs: Number of environments, stepped together; 0 means 1.
         seed: Environment i draws from SeedSequence(seed).spawn(num_envs)[i]; None: the server draws a seed.
         lease_s: Time without a call after which the session ends, in seconds; 0 means 60.
-        height: Frame height in pixels; 0 means the cameras' own.
-        width: Frame width in pixels; 0 means the cameras' own.
+        height, width: Frame size in pixels; 0 means the cameras' own.
         privileged: Whether replies include `Truth`. For evaluation only.
         idempotency_key: The same key and request returns the session already created; empty for none.
         conditions: Conditions of the task, at most one of each group, in any order; empty for the nominal task.
@@ -285,8 +284,7 @@ class DemonstrateRequest:
         seed: Trajectory i is drawn from SeedSequence(seed).spawn(count)[i].
         first: Index of the first trajectory to send.
         cameras: Cameras to record; empty for the task's first.
-        height: Frame height in pixels; 0 means the camera's own.
-        width: Frame width in pixels; 0 means the camera's own.
+        height, width: Frame size in pixels; 0 means the camera's own.
         privileged: Whether replies include `labels`. For evaluation only.
         conditions: As of `CreateSessionRequest`.
     """

@@ -20,7 +20,7 @@ import orjson
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from pydantic import ValidationError
 from python_multipart.multipart import parse_options_header
-from starlette.datastructures import FormData, UploadFile
+from starlette.datastructures import FormData
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect, Request
 
@@ -176,7 +176,7 @@ async def _read_multipart(request: Request, cls: type[T]) -> T:
             hint="Let the HTTP client write the boundary: with curl, -F field=value.",
         ) from None
     try:
-        parts = [(name, await _content(part)) for name, part in form.multi_items()]
+        parts = [(name, part if isinstance(part, str) else await part.read()) for name, part in form.multi_items()]
     finally:
         await form.close()
     return await asyncio.to_thread(_from_parts, parts, cls)
@@ -199,10 +199,6 @@ class _StrictParser(MultiPartParser):
             yield chunk
         if not self._ended:
             raise MultiPartException("The last boundary is missing.")
-
-
-async def _content(part: UploadFile | str) -> bytes | str:
-    return part if isinstance(part, str) else await part.read()
 
 
 def _from_parts(parts: Iterable[tuple[str, bytes | str]], cls: type[T]) -> T:
