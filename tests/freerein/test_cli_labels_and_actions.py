@@ -22,18 +22,16 @@ _SPEC = DatasetSpec(fps=10, cameras={"top": (4, 4, 3)}, action=ActionSpec(2, 0, 
 
 
 @pytest.fixture(scope="module")
-def segmentation(start_module_service: Callable[..., Any]) -> Any:
-    return start_module_service("tests.faults.faulty_service", FREEREIN_SHIPPED_DIR="none")
-
-
-@pytest.fixture(scope="module")
-def imitation(start_module_service: Callable[..., Any]) -> Any:
-    return start_module_service("tests.faults.faulty_policy", FREEREIN_SHIPPED_DIR="none")
+def addresses(start_module_service: Callable[..., Any]) -> dict[str, str]:
+    modules = {"SEGMENTATION": "tests.faults.faulty_service", "IMITATION": "tests.faults.faulty_policy"}
+    services = {name: start_module_service(module, FREEREIN_SHIPPED_DIR="none") for name, module in modules.items()}
+    return {f"FREEREIN_{name}_ADDRESS": service.address for name, service in services.items()}
 
 
 @pytest.fixture
-def data_dir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("FREEREIN_DATA_DIR", str(tmp_path))
+def data_dir(addresses: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for variable, value in {**addresses, "FREEREIN_DATA_DIR": str(tmp_path)}.items():
+        monkeypatch.setenv(variable, value)
     return tmp_path
 
 
@@ -61,10 +59,7 @@ def _run(*words: str) -> Result:
     return CliRunner().invoke(app, [*words, "--json"])
 
 
-def test_a_whole_dataset_is_labelled_and_the_labels_stay_beside_it(
-    segmentation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("FREEREIN_SEGMENTATION_ADDRESS", segmentation.address)
+def test_a_whole_dataset_is_labelled_and_the_labels_stay_beside_it(data_dir: Path) -> None:
     root = data_dir / "datasets" / "demos"
     record(root, [0, 1, 1], [3, 2])
 
@@ -78,10 +73,7 @@ def test_a_whole_dataset_is_labelled_and_the_labels_stay_beside_it(
     assert f"The labels are in {root / 'labels'}; freerein dataset export demos" in said
 
 
-def test_the_frames_are_of_the_camera_that_the_model_was_fitted_on(
-    segmentation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("FREEREIN_SEGMENTATION_ADDRESS", segmentation.address)
+def test_the_frames_are_of_the_camera_that_the_model_was_fitted_on(data_dir: Path) -> None:
     root = data_dir / "datasets" / "two"
     record_cameras(root, above=0, front=1)
 
@@ -93,10 +85,7 @@ def test_the_frames_are_of_the_camera_that_the_model_was_fitted_on(
 
 
 @pytest.mark.parametrize("words", [["--save"], ["--index", "0"], ["--camera", "front"]])
-def test_a_dataset_of_several_other_cameras_is_refused(
-    segmentation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
-) -> None:
-    monkeypatch.setenv("FREEREIN_SEGMENTATION_ADDRESS", segmentation.address)
+def test_a_dataset_of_several_other_cameras_is_refused(data_dir: Path, words: list[str]) -> None:
     record_cameras(data_dir / "datasets" / "others", above=0, side=1)
 
     error = json.loads(_run("segment", "others", *words).stderr)["error"]
@@ -105,10 +94,7 @@ def test_a_dataset_of_several_other_cameras_is_refused(
     assert "above, side" in error["detail"]
 
 
-def test_short_segments_are_rejected_in_a_dataset(
-    segmentation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("FREEREIN_SEGMENTATION_ADDRESS", segmentation.address)
+def test_short_segments_are_rejected_in_a_dataset(data_dir: Path) -> None:
     root = data_dir / "datasets" / "rejected"
     record(root, [0, 1, 1], [3, 2])
 
@@ -117,10 +103,7 @@ def test_short_segments_are_rejected_in_a_dataset(
     assert [found.tolist() for found in labels.all_labels(root, np.array([3, 2]))] == [[-1, 1, 1], [-1, -1]]
 
 
-def test_labels_that_could_not_all_be_made_do_not_count(
-    segmentation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("FREEREIN_SEGMENTATION_ADDRESS", segmentation.address)
+def test_labels_that_could_not_all_be_made_do_not_count(data_dir: Path) -> None:
     root = data_dir / "datasets" / "broken"
     record(root, [0, 1], fault=2)
 
@@ -131,10 +114,7 @@ def test_labels_that_could_not_all_be_made_do_not_count(
         labels.info(root)
 
 
-def test_a_policy_is_asked_once_and_says_what_it_wants_to_see(
-    imitation: Any, data_dir: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("FREEREIN_IMITATION_ADDRESS", imitation.address)
+def test_a_policy_is_asked_once_and_says_what_it_wants_to_see(data_dir: Path) -> None:
     for name, colour in (("now", (0, 0, 9)), ("near", (0, 0, 9)), ("far", (0, 0, 200))):
         PIL.Image.new("RGB", (4, 4), colour).save(data_dir / f"{name}.png")
     now, near, far = (str(data_dir / f"{name}.png") for name in ("now", "near", "far"))

@@ -1,10 +1,10 @@
 """What a killed process left unfinished is deleted by the next one; what a living one is writing is not."""
 
-import subprocess
-import sys
+import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -48,8 +48,10 @@ def names(folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("fingerprint", ["a" * 16, "b" * 16])
-def test_what_a_killed_process_left_is_deleted(tmp_path: Path, fingerprint: str) -> None:
-    assert subprocess.run([sys.executable, "-c", KILLED, tmp_path], check=False).returncode < 0
+def test_what_a_killed_process_left_is_deleted(
+    tmp_path: Path, fork_program: Callable[..., Any], fingerprint: str
+) -> None:
+    assert fork_program("tests.code", KILLED, tmp_path).process.wait(60) == -signal.SIGKILL
     assert len(names(tmp_path / "cache" / ("a" * 16))) == len(list(tmp_path.glob(".import-*"))) == 1
 
     build(tmp_path, fingerprint, one_part())

@@ -73,7 +73,7 @@ def test_first_frames_are_tested_for_what_they_tell_of_the_tags(telling: bool) -
 
 def test_under_chance_small_p_values_are_as_rare_as_they_say() -> None:
     rng, least = np.random.default_rng(2), []
-    for _ in range(40):
+    for _ in range(20):
         tags = [("a",) if occurs else ("b",) for occurs in rng.random(40) < 0.5]
         least += [min(each.p_value for each in first_frame_tests(rng.random((40, 8), np.float32), tags, rng=rng))]
     assert np.mean(np.array(least) <= 0.1) <= 0.25

@@ -208,7 +208,7 @@ def test_pages_hold_each_job_once_newest_first_whatever_is_started_meanwhile(sto
 @pytest.mark.fault("F10")
 def test_a_page_ends_before_its_reply_is_too_large_and_the_next_one_continues(store):
     large = [store.create(START, {"kind": "ppo", "config": {"bytes": [1] * 120_000}, "steps": 1}) for _ in range(7)]
-    huge = store.create(START, {"kind": "ppo", "config": {"bytes": [1] * 1_000_000}, "steps": 1})
+    huge = store.create(START, {"kind": "ppo", "config": {"bytes": [1] * 400_000}, "steps": 1})
     pages, token = [], ""
     while not pages or token:
         ids, token = store.page(0, token)

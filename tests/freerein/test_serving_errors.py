@@ -10,7 +10,7 @@ import pytest
 from freerein import wire
 from freerein.api.reward.v1 import reward_pb2
 from freerein.clients import Channel, RewardClient
-from freerein.errors import InvalidInput, NotFound
+from freerein.errors import InvalidInput, NotFound, must_be, quoted
 from freerein.serving.error_replies import close_reason
 from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
@@ -84,3 +84,9 @@ def refused(camera: str) -> RewardRequest:
     """Returns a request with frames that cannot be read, of a camera of this name."""
     neither_true_nor_false = np.full((1, 4, 4, 3), 2, np.uint8).view(np.bool_)
     return RewardRequest("a red block", frames={camera: neither_true_nor_false})
+
+
+def test_the_error_of_a_value_says_its_name_and_what_came_and_quotes_texts_short_and_printable() -> None:
+    error = must_be("fps", "1 to 1000", quoted("a`\n" + "x" * 70))
+    assert (error.field, error.detail) == ("fps", f"`fps` must be 1 to 1000; got `a??{'x' * 61}...`.")
+    assert must_be("The size", "H x W", 3, field="").detail == "The size must be H x W; got 3."

@@ -106,13 +106,12 @@ def test_a_video_is_turned_and_mirrored_as_its_display_matrix_says(
 ) -> None:
     lit = np.zeros((1, HEIGHT, WIDTH, 3), np.uint8)
     lit[:, : HEIGHT // 2, : WIDTH // 2] = 200
-    turned = with_display_matrix(encode_video(lit), matrix)
-    resized = {"size": (40, 20), "channels": 1}
-    for options in ({}, resized) if matrix in ((-1, 0, 0, 1), (0, 1, -1, 0)) else ({},):
-        (frame,) = decoded(turned, **options)
-        top, left = frame[: len(frame) // 2, :, 0].mean() > 40, frame[:, : frame.shape[1] // 2, 0].mean() > 40
-        assert f"{'top' if top else 'bottom'} {'left' if left else 'right'}" == corner
-        assert len(frame) == (40 if options else height)
+    is_resized = corner == "top right"
+    options = {"size": (40, 20), "channels": 1} if is_resized else {}
+    (frame,) = decoded(with_display_matrix(encode_video(lit), matrix), **options)
+    top, left = frame[: len(frame) // 2, :, 0].mean() > 40, frame[:, : frame.shape[1] // 2, 0].mean() > 40
+    assert f"{'top' if top else 'bottom'} {'left' if left else 'right'}" == corner
+    assert len(frame) == (40 if is_resized else height)
 
 
 def with_display_matrix(video: bytes, matrix: tuple[int, int, int, int]) -> bytes:
@@ -129,8 +128,7 @@ def test_a_quicktime_file_need_not_begin_with_its_type(
     encode_video: EncodeVideo, colours: npt.NDArray[np.uint8]
 ) -> None:
     movie = encode_video(colours, container="mov")
-    for first in (b"wide", b"free", b"skip"):
-        assert len(decoded(movie.replace(b"ftyp", first, 1))) == FRAMES
+    assert len(decoded(movie.replace(b"ftyp", b"wide", 1))) == FRAMES
 
 
 def test_the_size_of_the_last_box_may_be_open(h264: bytes) -> None:
@@ -138,11 +136,15 @@ def test_the_size_of_the_last_box_may_be_open(h264: bytes) -> None:
     assert len(decoded(h264[:at] + bytes(4) + h264[at + 4 :])) == FRAMES
 
 
-def test_a_video_that_is_left_ends_its_decoder(long_video: bytes) -> None:
+def test_a_decoder_has_no_environment_and_ends_when_its_video_is_left(
+    monkeypatch: pytest.MonkeyPatch, long_video: bytes
+) -> None:
+    monkeypatch.setenv("FREEREIN_TOKEN", "secret")
     with open_video(long_video) as video:
+        assert video.info.codec == "h264"
         next(iter(video))
         (decoder,) = decoders()
-        assert decoder.is_running()
+        assert "FREEREIN_TOKEN" not in decoder.environ()
     assert not decoder.is_running()
 
 
@@ -200,7 +202,7 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path: Path) -> None:
 
 @pytest.mark.fault("S10")
 def test_a_small_file_with_huge_frames_is_refused(encode_video: EncodeVideo) -> None:
-    bomb = encode_video(np.zeros((1, 4096, 4096, 3), np.uint8))
+    bomb = encode_video(np.zeros((1, 2306, 4096, 3), np.uint8))
     assert len(bomb) < 100_000
     with pytest.raises(InvalidInput, match="pixels"):
         decoded(bomb)
@@ -234,9 +236,8 @@ def test_a_decoder_that_takes_too_much_cpu_time_is_ended_and_told_as_that(long_v
 
 
 @pytest.mark.fault("S10")
-def test_a_decoder_that_crashes_is_an_error_of_the_file(encode_video: EncodeVideo) -> None:
-    long = encode_video(np.zeros((200, 128, 128, 3), np.uint8))  # more than the pipe holds
-    with open_video(long) as video:
+def test_a_decoder_that_crashes_is_an_error_of_the_file(long_video: bytes) -> None:
+    with open_video(long_video) as video:
         (decoder,) = decoders()
         os.kill(decoder.pid, signal.SIGSEGV)
         with pytest.raises(InvalidInput, match="corrupt"):
@@ -246,7 +247,7 @@ def test_a_decoder_that_crashes_is_an_error_of_the_file(encode_video: EncodeVide
 @pytest.mark.fault("S10")
 def test_a_decoder_that_yields_no_first_frame_is_given_up(h264: bytes) -> None:
     with pytest.raises(InvalidInput, match="each frame within 0 s"):
-        open_video(h264, bounds=VideoBounds(first_frame_s=0.0))
+        decoded(h264, bounds=VideoBounds(first_frame_s=0.0))
     assert not decoders()
 
 
@@ -282,11 +283,3 @@ def test_without_a_decoder_it_is_said_how_to_get_one(monkeypatch: pytest.MonkeyP
     with pytest.raises(Unimplemented) as error:
         open_video(h264)
     assert "freerein[video]" in error.value.hint
-
-
-def test_a_decoder_has_no_environment(monkeypatch: pytest.MonkeyPatch, long_video: bytes) -> None:
-    monkeypatch.setenv("FREEREIN_TOKEN", "secret")
-    with open_video(long_video) as video:
-        (decoder,) = decoders()
-        assert "FREEREIN_TOKEN" not in decoder.environ()
-        assert video.info.codec == "h264"

@@ -11,5 +11,4 @@ from freerein.video.reader import VideoBounds as VideoBounds
 from freerein.video.reader import VideoFrame as VideoFrame
 from freerein.video.reader import VideoInfo as VideoInfo
 from freerein.video.reader import open_video as open_video
-from freerein.video.reader import start_video as start_video
 from freerein.video.sampling import frames_at_rate as frames_at_rate

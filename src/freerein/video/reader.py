@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -80,7 +79,7 @@ class Video:
     """An open video: a context manager, and an iterator over its frames; the decoder waits while none is taken.
 
     Attributes:
-        info: Describes the file; there once the first frame is.
+        info: Describes the file; there once the first frame is, in the block or after `read_info`.
     """
 
     info: VideoInfo
@@ -121,11 +120,15 @@ class Video:
         self._held_open.close()
 
     def __enter__(self) -> Self:
+        """Waits for the first frame; raises as `open_video`."""
+        try:
+            self.read_info()
+        except BaseException:
+            self.close()
+            raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _read_info(self) -> VideoInfo:
@@ -184,7 +187,7 @@ def open_video(
     bounds: VideoBounds = VideoBounds(),
     field: str = "video",
 ) -> Video:
-    """Returns a video, whose frames are decoded one by one, once it has the first.
+    """Returns a video whose decoder has begun; its frames are decoded one by one, in a `with` block.
 
     Args:
         source: An mp4 or mov file, or its contents.
@@ -194,28 +197,11 @@ def open_video(
         field: Name of the video in the request, for errors.
 
     Raises:
-        UnsupportedMedia: It is neither mp4 nor mov, or of a codec that is not among `CODECS`.
-        InvalidInput: Corrupt, truncated, empty, no regular file, or beyond its bounds. Iteration raises it, too.
+        UnsupportedMedia: It is neither mp4 nor mov, or of a codec that is not among `CODECS`. This and the next error
+            are raised here, at the beginning of the block, or by iteration.
+        InvalidInput: Corrupt, truncated, empty, no regular file, or beyond its bounds.
         Unimplemented: No decoder is installed.
     """
-    video = start_video(source, channels=channels, size=size, bounds=bounds, field=field)
-    try:
-        video.read_info()
-    except BaseException:
-        video.close()
-        raise
-    return video
-
-
-def start_video(
-    source: bytes | Path,
-    *,
-    channels: int = 3,
-    size: tuple[int, int] | None = None,
-    bounds: VideoBounds = VideoBounds(),
-    field: str = "video",
-) -> Video:
-    """Returns a video whose decoder has begun, as `open_video`: its `read_info` is to be called before all else."""
     if importlib.util.find_spec("av") is None:
         raise Unimplemented(
             "Reading video needs PyAV; it is not installed here.",

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from freerein.errors import InvalidInput
 from freerein.serving.limits import Slots
 from freerein.types.common import Camera
-from freerein.video import VideoBounds, VideoFrame, frames_at_rate, start_video
+from freerein.video import VideoBounds, VideoFrame, frames_at_rate, open_video
 
 T = TypeVar("T")
 
@@ -60,7 +60,7 @@ class VideoDecoding:
         size = (camera.height, camera.width)
         asked = size if resize else None
         with self._slots.hold():
-            starting = self._run(lambda: start_video(data, channels=camera.channels, size=asked, bounds=_BOUNDS))
+            starting = self._run(lambda: open_video(data, channels=camera.channels, size=asked, bounds=_BOUNDS))
             try:
                 video = await _end_of(starting)
                 await _end_of(self._run(video.read_info), stop=video.kill)

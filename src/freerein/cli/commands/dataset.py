@@ -10,9 +10,10 @@ from typing import Annotated, Literal
 import typer
 
 from freerein import data
+from freerein.atomic_files import write_atomic
 from freerein.cli.dataset_words import summary_rows, takes
 from freerein.cli.output import AsJson, command, delete_each, print_json, progress_bar
-from freerein.cli.segments.export import export_labels_to
+from freerein.cli.segments.webvtt import webvtt
 from freerein.cli.settings import CliSettings
 from freerein.cli.tables import show_table
 from freerein.cli.times import ago
@@ -29,6 +30,8 @@ from freerein.data import (
     TimeUnit,
     dataset_path,
 )
+from freerein.data.label_segments import read_label_segments, to_csv
+from freerein.data.lerobot_export import export_labels
 from freerein.errors import InvalidInput, NotFound, must_be, quoted
 from freerein.jobs import wall_clock
 from freerein.jobs.in_use import check_unused, names_dataset
@@ -299,7 +302,21 @@ def export(
     In a LeRobotDataset they become rows of style `subtask` in `language_persistent`, and the stages that SARM reads;
     its images, actions and all else stay as they are.
     """
-    written = export_labels_to(dataset_root(name), lerobot=lerobot, csv=csv, vtt=vtt, replaces=replace)
+    written = {form: path for form, path in (("lerobot", lerobot), ("csv", csv), ("vtt", vtt)) if path}
+    if not written:
+        hint = "Write --lerobot ORIGINAL, --csv FILE or --vtt FOLDER."
+        raise must_be("A form", "chosen", "none", field="lerobot", hint=hint)
+    root = dataset_root(name)
+    dataset = Dataset(root)
+    segments, fps = read_label_segments(root, dataset), dataset.spec.fps
+    if lerobot is not None:
+        export_labels(root, lerobot, replaces=replace)
+    if csv is not None:
+        write_atomic(csv, to_csv(segments).encode())
+    if vtt is not None:
+        for index, some in enumerate(segments):
+            cues = ((each.start / fps, each.end / fps, each.skill) for each in some if each.skill)
+            write_atomic(vtt / f"trajectory-{index:03}.vtt", webvtt(cues).encode())
     if as_json:
         print_json({"dataset": name, **{form: str(path) for form, path in written.items()}})
     else:
