@@ -56,6 +56,7 @@ CASES = (
     ("StartRun", StartRunRequest("collect", {**CONFIG, "count": 0}), "invalid_input"),
     ("StartRun", StartRunRequest("collect", {**CONFIG, "count": 2.5}), "invalid_input"),
     ("StartRun", StartRunRequest("collect", CONFIG, "../key"), "invalid_input"),
+    ("StartRun", StartRunRequest("PPo", CONFIG), "invalid_input"),
     ("GetRun", orchestrator.GetRunRequest(RUN)),
     ("GetRun", orchestrator.GetRunRequest("1" * 32), "not_found"),
     ("GetRun", orchestrator.GetRunRequest("../x"), "invalid_input"),

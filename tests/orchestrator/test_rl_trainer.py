@@ -263,7 +263,7 @@ def test_a_training_resumed_from_any_checkpoint_ends_with_the_same_bits(tmp_path
 def test_a_training_stopped_anywhere_ends_with_the_same_bits_and_one_row_per_iteration(
     tmp_path: Path, expected: str
 ) -> None:
-    for calls in (1, 2, 4, 5, 1, 2):
+    for calls in (1, 4, 2):
         left = iter(range(calls))
 
         def interrupt(left: Iterator[int] = left) -> None:
@@ -383,7 +383,7 @@ def test_noise_and_learning_rate_keep_their_last_values(tmp_path: Path) -> None:
 def test_a_training_that_goes_on_is_stopped_anywhere_and_ends_with_the_same_bits(tmp_path: Path) -> None:
     finished = train(tmp_path / "finished")
     expected = digest(train(tmp_path / "undisturbed", finished=finished))
-    for calls in (1, 4, 6, 2):
+    for calls in (1, 6):
         left = iter(range(calls))
 
         def interrupt(left: Iterator[int] = left) -> None:
