@@ -55,7 +55,7 @@ STAGES = {"forward_consistency_weight": 0.1, "forward_pretraining_steps": 3, "po
         ("goal_conditioned", SMALL_EYE | STAGES, [1, 5, 9]),  # in each stage
         ("goal_cloning", SMALL_EYE, [7]),
         ("inverse_model", SMALL_EYE, [7]),
-        ("skills", {"steps": 30, "evaluate_every": 10}, [1, 2, 7]),  # in each stage
+        ("skills", {"steps": 18, "evaluate_every": 9}, [1, 7]),  # in the stage of the maps, and of the policy
         ("skill_cloning", SMALL_EYE, [7]),
     ],
     ids=["goal_conditioned", "goal_cloning", "inverse_model", "skills", "skill_cloning"],
