@@ -50,8 +50,7 @@ robustness: dev ## Every model under every condition: runs what lacks a result, 
 fuzz: dev ## The fault tests with their large counts: 20 000 generated requests per REST API, 20 kills
 	FREEREIN_FUZZ=1 $(BIN)/pytest $(PARALLEL) --timeout 1200 tests/faults tests/freerein/test_benchmarks.py
 
-soak: dev ## All five services under mixed load: MINUTES=20, after a minute with a planted leak that must be found
-	$(BIN)/python -m soak --leak --minutes 1
+soak: dev ## All five services under mixed load: MINUTES=20
 	$(BIN)/python -m soak --minutes $(or $(MINUTES),$(FREEREIN_SOAK_MINUTES),20)
 
 mutants: dev ## Change the code in up to 300 places, and expect a test to fail each time

@@ -1,10 +1,9 @@
-"""Throughput and latency of many control streams at once.
+"""Latency of many control streams at once, beside a bare server.
 
-First sixteen robots that each wait for their reply, with batching and with one observation per model call. Then
-thirty-two robots that send at a fixed rate from a process of their own: the service beside a bare gRPC server that
-makes the same model call for every message. `Control` answers a robot's newest observation and drops those it overtook,
-the bare server answers all: the answered shares are reported beside. At 50 Hz one core is too slow for one call per
-message, and the bare server falls behind; at 10 Hz it keeps up.
+Thirty-two robots send at a fixed rate from a process of their own: the service beside a bare gRPC server that makes the
+same model call for every message. `Control` answers a robot's newest observation and drops those it overtook, the bare
+server answers all: the answered shares are reported beside. At 50 Hz one core is too slow for one call per message, and
+the bare server falls behind; at 10 Hz it keeps up.
 """
 
 from contextlib import AsyncExitStack
@@ -17,58 +16,19 @@ import numpy as np
 
 from benchmarks import load_generator
 from benchmarks.bare_policy import SEQ_BYTES, STREAM
-from benchmarks.imitation_robot import CONTROL, Scene, control_stream, policy_step, publish_scene
+from benchmarks.imitation_robot import CONTROL, publish_scene
 from benchmarks.load_generator import Load, LoadResult
 from benchmarks.report import Ratio, Results
 from benchmarks.servers import run_server, run_service
-from benchmarks.timing import Effort, Latencies, Workload, measure_rates, repeat_function, repeat_together
-from freerein.clients import Channel, ImitationClient
+from benchmarks.timing import Effort, Latencies
 
 _SIDE_PX = 64
-_WAITING_ROBOTS, _MEASURED_BATCH = 16, 8
-_WIDE = 512
-"""Features and units of a policy whose weights exceed a core's caches."""
-
 _ROBOTS, _RATES_HZ = 32, (50.0, 10.0)
 _BAR_HZ = 50.0
 
 
 async def measure(effort: Effort) -> Results:
-    """Returns the gain of batching for sixteen streams, and the latency under load relative to a bare server's."""
-    return await _measure_batching(effort) + await _measure_load(effort)
-
-
-async def _measure_batching(effort: Effort) -> Results:
-    async with AsyncExitStack() as opened:
-        folder = Path(opened.enter_context(TemporaryDirectory()))
-        robots = {}
-        for name, module in (("batching", ""), ("off", "benchmarks.unbatched_imitation")):
-            scene = publish_scene(_SIDE_PX, folder / name, width=_WIDE)
-            stack = await opened.enter_async_context(run_service("imitation", data_dir=folder / name, module=module))
-            client = await opened.enter_async_context(ImitationClient(Channel(stack.addresses["imitation"])))
-            robots[name] = [
-                await opened.enter_async_context(control_stream(client, scene)) for _ in range(_WAITING_ROBOTS)
-            ]
-        model = await measure_rates([_model("batch-1", scene, 1), _model("batch-8", scene, _MEASURED_BATCH)], effort)
-        streams = await measure_rates(
-            [Workload(name, repeat_together(some), len(some), "observations") for name, some in robots.items()],
-            effort,
-        )
-    cost = _MEASURED_BATCH / model.speedup("batch-8", over="batch-1")
-    return Results(
-        ratios=(
-            Ratio("control.model_batch8_vs_batch1_cost", cost, at_most=2.0),
-            Ratio("control.throughput16_on_vs_off", streams.speedup("batching", over="off"), at_least=2.5),
-        ),
-        rates={"control.model": model, "control.16-streams": streams},
-    )
-
-
-def _model(name: str, scene: Scene, size: int) -> Workload:
-    return Workload(name, repeat_function(policy_step(scene, size)), size, "observations")
-
-
-async def _measure_load(effort: Effort) -> Results:
+    """Returns the latency under load relative to a bare server's."""
     results = Results()
     async with AsyncExitStack() as opened:
         folder = Path(opened.enter_context(TemporaryDirectory()))

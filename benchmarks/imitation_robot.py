@@ -88,14 +88,11 @@ class Scene:
             yield from [prepared + _seq_bytes(seq) for seq in range(first, first + _NUMBERS_AT_ONCE)]
 
 
-def publish_scene(side_px: int, data_dir: Path, *, width: int = _WIDTH) -> Scene:
-    """Publishes an untrained goal-conditioned policy to the imitation service's store; returns it with random images.
-
-    `width` is the number of image features, and of units of the LSTM.
-    """
+def publish_scene(side_px: int, data_dir: Path) -> Scene:
+    """Publishes an untrained goal-conditioned policy to the imitation service's store; returns it with its images."""
     frames = np.random.default_rng(0).integers(256, size=(_CALIBRATION_FRAMES, side_px, side_px, 3), dtype=np.uint8)
     camera = Camera(_CAMERA, side_px, side_px, 3)
-    spec = GoalConditionedSpec(cameras=(camera,), action=_ACTION, features=width, hidden_size=width)
+    spec = GoalConditionedSpec(cameras=(camera,), action=_ACTION, features=_WIDTH, hidden_size=_WIDTH)
     network = GoalConditionedNetwork(spec)
     initialise(network)
     network.fit_normalisation({_CAMERA: torch.from_numpy(frames)}, generator=torch.Generator())
@@ -105,13 +102,11 @@ def publish_scene(side_px: int, data_dir: Path, *, width: int = _WIDTH) -> Scene
     return Scene(ref, data_dir / "models" / "imitation" / ref.name / ref.version, frames[0], frames[1])
 
 
-def policy_step(scene: Scene, size: int = 1) -> Callable[[], PolicyOutput]:
-    """Returns the model call as the service's core makes it, on so many of the scene's frames; memory is passed on."""
+def policy_step(scene: Scene) -> Callable[[], PolicyOutput]:
+    """Returns the model call as the service's core makes it, on the scene's frame; the memory is passed on."""
     policy = METHODS.load(scene.folder, "cpu")
-    frames = {_CAMERA: np.repeat(scene.frame[None], size, axis=0)}
-    goals = np.repeat(policy.encode_goals({_CAMERA: scene.goal[None]}), size, axis=0)
-    previous = np.repeat(policy.spec.action.no_action()[None], size, axis=0)
-    recurrent = np.zeros((size, policy.spec.recurrent_size), np.float32)
+    frames, goals = {_CAMERA: scene.frame[None]}, policy.encode_goals({_CAMERA: scene.goal[None]})
+    previous, recurrent = policy.spec.action.no_action()[None], np.zeros((1, policy.spec.recurrent_size), np.float32)
 
     def step() -> PolicyOutput:
         nonlocal recurrent

@@ -51,25 +51,13 @@ class Results:
 
 
 def show(results: Results) -> None:
-    """Prints all tables."""
-    Console().print(*(table for table in _tables(results) if table.row_count))
-
-
-def _tables(results: Results) -> tuple[Table, ...]:
-    rates = Table("measured", "per second", "ms each", "of", title="Medians")
-    for benchmark, times in results.rates.items():
-        for name in times.rates:
-            rate = times.rate(name)
-            rates.add_row(f"{benchmark}.{name}", f"{rate:,.1f}", f"{1e3 / rate:.3f}", times.unit)
-    calls = Table("call", *(f"{name} ms" for name in _SHARES), title="Latencies, medians of rounds")
-    for benchmark, latencies in results.latencies.items():
-        for name in latencies.seconds:
-            values = (latencies.quantile(name, share) for share in _SHARES.values())
-            calls.add_row(f"{benchmark}.{name}", *(f"{1e3 * value:.3f}" for value in values))
+    """Prints the ratios; what they are made of is in the summary."""
     ratios = Table("ratio", "value", "bar", "met", title="Ratios")
     for ratio in results.ratios:
-        ratios.add_row(ratio.name, f"{ratio.value:.2f}", ratio.bar or "", _tick(ratio.is_met))
-    return rates, calls, ratios
+        ratios.add_row(
+            ratio.name, f"{ratio.value:.2f}", ratio.bar or "", {None: "", True: "yes"}.get(ratio.is_met, "no")
+        )
+    Console().print(ratios)
 
 
 def write(results: Results, path: Path, *, load: Sequence[float]) -> None:
@@ -96,7 +84,3 @@ def write(results: Results, path: Path, *, load: Sequence[float]) -> None:
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(document, indent=2) + "\n")
-
-
-def _tick(met: bool | None) -> str:
-    return "" if met is None else "[green]yes" if met else "[bold red]no"

@@ -21,14 +21,10 @@ Sent = TypeVar("Sent")
 
 
 @asynccontextmanager
-async def run_service(service: str, *, data_dir: Path, module: str = "", **environ: str) -> AsyncGenerator[Stack, None]:
-    """Runs a service on free ports, ready when the block begins.
-
-    `module` is what `python -m` runs, by default the installed service; `environ` adds environment variables.
-    """
+async def run_service(service: str, *, data_dir: Path, **environ: str) -> AsyncGenerator[Stack, None]:
+    """Runs a service on free ports, ready when the block begins; `environ` adds environment variables."""
     ports = free_ports([service])
-    modules = {service: module} if module else choose([service])
-    async with Stack(modules, data_dir=data_dir, environ={**os.environ, **environ}, ports=ports) as stack:
+    async with Stack(choose([service]), data_dir=data_dir, environ={**os.environ, **environ}, ports=ports) as stack:
         await stack.ready(timeout_s=_START_TIMEOUT_S)
         yield stack
 

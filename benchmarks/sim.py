@@ -1,10 +1,9 @@
 """Steps per second of the sim service over the network, beside the same worlds in process.
 
 All step with random actions. The service has one worker process, so that it has no more cores than the others. Each
-network call is sent after the reply to the last, except for the sixteen calls of `16-unary`.
+network call is sent after the reply to the last.
 """
 
-import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, closing
 from dataclasses import dataclass, field
@@ -54,7 +53,6 @@ async def _measure(task: TaskDefinition, cameras: tuple[str, ...], address: str,
         async def session(num_envs: int) -> _Session:
             return await opened.enter_async_context(_session(client, task.name, num_envs, cameras))
 
-        singles = [await session(1) for _ in range(_ENVS)]
         stream = await opened.enter_async_context(_stream(await session(1)))
         local = opened.enter_context(closing(VectorEnv(task, num_envs=_ENVS, seed=_SEED)))
         local.reset(cameras=cameras)
@@ -62,14 +60,10 @@ async def _measure(task: TaskDefinition, cameras: tuple[str, ...], address: str,
         async def step_local(actions: Actions) -> object:
             return local.step(actions, cameras)
 
-        async def step_singles(actions: Actions) -> object:
-            return await asyncio.gather(*(each.step(row[None]) for each, row in zip(singles, actions, strict=True)))
-
         ways: tuple[tuple[str, Step, int], ...] = (
             ("in-process-16", step_local, _ENVS),
             ("unary-16", (await session(_ENVS)).step, _ENVS),
-            ("16-unary", step_singles, _ENVS),
-            ("unary-1", singles[0].step, 1),
+            ("unary-1", (await session(1)).step, 1),
             ("connect-1", stream, 1),
         )
         return await measure_rates([_workload(*way, task.spec.action) for way in ways], effort)
@@ -79,7 +73,6 @@ def _results(times: Rates, name: str) -> Results:
     return Results(
         ratios=(
             Ratio(f"sim.connect_vs_unary.{name}", times.speedup("connect-1", over="unary-1")),
-            Ratio(f"sim.step16_vs_16_unary.{name}", times.speedup("unary-16", over="16-unary")),
             Ratio(f"sim.network_vs_in_process.{name}", times.speedup("unary-16", over="in-process-16")),
         ),
         rates={f"sim.{name}": times},

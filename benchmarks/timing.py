@@ -1,6 +1,5 @@
 """Side-by-side timing: workloads take turns, in another order each round; figures are medians over rounds."""
 
-import asyncio
 import math
 import time
 from collections.abc import Awaitable, Callable, Iterator, Sequence
@@ -70,15 +69,6 @@ def repeat_function(function: Callable[[], object]) -> Callable[[int], Awaitable
     async def run(count: int) -> None:
         for _ in range(count):
             function()
-
-    return run
-
-
-def repeat_together(calls: Sequence[Call]) -> Callable[[int], Awaitable[None]]:
-    """Returns a function that repeats each call, all calls at the same time."""
-
-    async def run(count: int) -> None:
-        await asyncio.gather(*(repeat(call)(count) for call in calls))
 
     return run
 

@@ -1,4 +1,4 @@
-"""Soaks the services: `python -m soak [--minutes 20] [--leak]`. Exits with 1 when something is wrong."""
+"""Soaks the services: `python -m soak [--minutes 20]`. Exits with 1 when something is wrong."""
 
 import argparse
 import asyncio
@@ -19,7 +19,6 @@ from freerein.errors import Overloaded
 from freerein.types.sim import CloseSessionRequest
 from soak import sequences, services, watch
 from soak.leak import MOST_MIB_PER_10K_CALLS, Sample, growth_mib_per_10k_calls
-from soak.leaky_segmentation import LEAKED_BYTES
 from soak.load import Load
 from soak.questions import Services
 from soak.watch import Held
@@ -77,11 +76,11 @@ def has_more(after: Held, before: Held) -> bool:
     )
 
 
-async def soak(minutes: float, *, leaky: bool) -> Findings:
+async def soak(minutes: float) -> Findings:
     """Runs the services under load and returns what was measured."""
     findings, seconds = Findings(), 60 * minutes
     with TemporaryDirectory(prefix="soak-") as folder:
-        async with services.start(Path(folder), leaky=leaky) as (stack, running):
+        async with services.start(Path(folder)) as (stack, running):
             load = Load(running, seed=0)
             await load.learn_answers()
             print(f"Warming up for {_WARM_UP * seconds:.0f} s.", flush=True)
@@ -160,16 +159,7 @@ def main() -> int:
     """Soaks the services; returns 1 when something is wrong."""
     parser = argparse.ArgumentParser(prog="python -m soak", description="Soak all five services under mixed load.")
     parser.add_argument("--minutes", type=float, default=20, help="minutes under load")
-    parser.add_argument("--leak", action="store_true", help="plant a leak, and succeed only if it is found")
-    arguments = parser.parse_args()
-    findings = asyncio.run(soak(arguments.minutes, leaky=arguments.leak))
-    code = report(findings)
-    if not arguments.leak:
-        return code
-    planted = LEAKED_BYTES * 1e4 / 2**20
-    found = planted / 2 < findings.growth("segmentation") < 2 * planted and not findings.failures
-    print(f"The planted leak of {planted:.0f} MiB per 10 000 calls was {'' if found else 'not '}found.")
-    return int(not found)
+    return report(asyncio.run(soak(parser.parse_args().minutes)))
 
 
 if __name__ == "__main__":

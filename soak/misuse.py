@@ -18,6 +18,8 @@ from soak.questions import Answer, Question, Services, WrongAnswer, check, segme
 _CALL_S, _LEAVES_AFTER_S = 30.0, 0.03
 _TEXTS = (b"", b"{", b'{"frames": NaN}', b'{"frames": {}, "secret": 1}', b"\xff\xfe", b"[" * 5_000)
 
+_SEQUENCES = (("imitation", ImitationClient, sequences.control), ("sim", SimClient, sequences.session))
+
 Misuse = Callable[[Services, Random], Awaitable[None]]
 
 
@@ -29,22 +31,13 @@ async def crash_over_rest(services: Services, rng: Random) -> None:
     await _end(call)
 
 
-async def crash_on_a_stream(services: Services, rng: Random) -> None:
-    """Dies on a control stream."""
-    async with dying_connection(services.addresses["imitation"]) as address:
-        dying = ImitationClient(Channel(address))
-        victim = replace(services, imitation=dying)
-        call = await _begin(sequences.control(victim, _CALL_S, rng.randrange(8)), rng)
-    await _end(call)
-    await dying.close()
-
-
-async def crash_in_a_session(services: Services, rng: Random) -> None:
-    """Dies with a session open."""
-    async with dying_connection(services.addresses["sim"]) as address:
-        dying = SimClient(Channel(address))
-        victim = replace(services, sim=dying)
-        call = await _begin(sequences.session(victim, _CALL_S, rng.randrange(8)), rng)
+async def crash_over_grpc(services: Services, rng: Random) -> None:
+    """Dies on a control stream, or with a session open."""
+    name, client, sequence = rng.choice(_SEQUENCES)
+    async with dying_connection(services.addresses[name]) as address:
+        dying = client(Channel(address))
+        changed: dict[str, Any] = {name: dying}
+        call = await _begin(sequence(replace(services, **changed), _CALL_S, rng.randrange(8)), rng)
     await _end(call)
     await dying.close()
 
@@ -82,4 +75,4 @@ async def break_rules(services: Services, rng: Random) -> None:
         raise WrongAnswer(f"A request that is none was answered with {reply.status_code}.")
 
 
-CRASHES: tuple[Misuse, ...] = (crash_over_rest, crash_on_a_stream, crash_in_a_session)
+CRASHES: tuple[Misuse, ...] = (crash_over_rest, crash_over_grpc)

@@ -37,10 +37,10 @@ _RUN = {"task": "grid", "dataset": "soaked", "behaviour": "random", "count": 3}
 
 
 @asynccontextmanager
-async def start(data_dir: Path, *, leaky: bool) -> AsyncIterator[tuple[Stack, Services]]:
-    """Runs the services while the block lasts; with `leaky`, segmentation has a planted leak."""
+async def start(data_dir: Path) -> AsyncIterator[tuple[Stack, Services]]:
+    """Runs the services while the block lasts."""
     publish_segmentation_model(data_dir)
-    modules = choose(()) | ({"segmentation": "soak.leaky_segmentation"} if leaky else {})
+    modules = choose(())
     environ = {**os.environ, **_SETTINGS}
     async with AsyncExitStack() as opened:
         stack = await opened.enter_async_context(

@@ -14,8 +14,6 @@ KINDS = {"sim", "envs", "segment", "reward", "act", "control", "ppo"}
 PROMISED = {
     "act.control-bytes_adds_vs_bare_policy.64px",
     "act.control-bytes_adds_vs_bare_policy.224px",
-    "control.model_batch8_vs_batch1_cost",
-    "control.throughput16_on_vs_off",
     "control.p99_vs_bare.32x50hz",
     "reward.images32_vs_1.grpc",
     "ppo.network_vs_in_process",
