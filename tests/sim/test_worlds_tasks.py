@@ -46,13 +46,6 @@ def test_the_built_in_tasks_are_found_by_name() -> None:
     assert all(name == task.name for name, task in found.items())
 
 
-def test_an_installed_package_adds_a_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    install(tmp_path, "world_of_mazes", "maze")
-    monkeypatch.syspath_prepend(tmp_path)
-
-    assert tasks()["maze"].world == "maze"
-
-
 def test_two_packages_cannot_offer_one_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(tmp_path, "world_of_grids", "grid")
     monkeypatch.syspath_prepend(tmp_path)
