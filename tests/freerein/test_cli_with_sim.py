@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -118,9 +118,10 @@ async def test_a_recording_goes_on_when_its_service_is_killed(
 
     async with SimClient(Channel(started[0].address)) as client:
         await record(client, request, tmp_path / "killed", on_count=kill_in_the_middle)
-        await record(client, request, tmp_path / "whole", on_count=lambda _: None)
-    assert len(started) == 2
-    assert Dataset(tmp_path / "killed").fingerprint == Dataset(tmp_path / "whole").fingerprint
+        await record(client, replace(request, count=9), tmp_path / "whole", on_count=lambda _: None)
+    killed, whole = (sorted((tmp_path / name / "data").rglob("*.parquet")) for name in ("killed", "whole"))
+    assert (len(started), len(killed)) == (2, 150)
+    assert [each.read_bytes() for each in killed[:9]] == [each.read_bytes() for each in whole]
 
 
 def test_a_signal_drains_the_services_and_the_exit_code_is_0(up: Up) -> None:

@@ -316,13 +316,13 @@ def test_all_files_that_are_not_read_are_named_at_once(tmp_path: Path) -> None:
 def test_videos_of_several_sizes_are_refused_and_with_a_size_it_is_said_what_is_stretched(
     tmp_path: Path, encode_video: Callable[..., bytes]
 ) -> None:
-    for name, (height, width) in (("a", (64, 96)), ("b", (32, 48)), ("c", (96, 64))):
+    for name, (height, width) in (("a", (64, 96)), ("b", (96, 64))):
         (tmp_path / f"{name}.mp4").write_bytes(encode_video(np.zeros((2, height, width, 3), np.uint8)))
-    with pytest.raises(InvalidInput, match=r"must be 64 x 96, as the first; `.*b\.mp4` is 32 x 48"):
+    with pytest.raises(InvalidInput, match=r"must be 64 x 96, as the first; `.*b\.mp4` is 96 x 64"):
         list(FolderSource(tmp_path))
     source = FolderSource(tmp_path, size=(32, 48))
-    assert [each.frames["camera"].shape for each in source] == [(2, 32, 48, 3)] * 3
-    assert ["Frames of `c/camera`, 96 x 64, were" in note for note in source.notes] == [True]
+    assert [each.frames["camera"].shape for each in source] == [(2, 32, 48, 3)] * 2
+    assert ["Frames of `b/camera`, 96 x 64, were" in note for note in source.notes] == [True]
 
 
 def test_it_is_said_which_images_a_size_stretches(tmp_path: Path) -> None:
