@@ -154,21 +154,17 @@ def check_choice(choice: PolicyChoice, store: PolicyStore, earlier: Collection[s
             store.model_folder(ModelRef(name, version), field=_FIELD)
 
 
-def find_policy(setup: Setup[Any], *, max_steps_per_goal: int = 0) -> PolicyHandle:
-    """Returns the policy of a `PolicyConfig`: the same version of a model as in earlier attempts.
+def find_policy(setup: Setup[Any], choice: PolicyChoice | None = None, *, max_steps_per_goal: int = 0) -> PolicyHandle:
+    """Returns a policy: the same version of a model as in earlier attempts.
 
     Args:
-        setup: The evaluation's.
+        setup: The evaluation's; its `subject` describes the policy as it was in earlier attempts.
+        choice: Which policy; None for that of the configuration, a `PolicyConfig`.
         max_steps_per_goal: Steps after which a served model abandons a goal; 0 for its own limit.
     """
-    return find_choice(setup, setup.config.choice, max_steps_per_goal=max_steps_per_goal)
-
-
-def find_choice(setup: Setup[Any], choice: PolicyChoice, *, max_steps_per_goal: int = 0) -> PolicyHandle:
-    """Returns a policy as `find_policy`; `setup.subject` describes it as it was in earlier attempts."""
     context, task, pinned = setup.context, setup.task, setup.subject.get("model")
     store = context.policies
-    match choice:
+    match choice or setup.config.choice:
         case RunPolicy(run=name, stochastic=stochastic):
             made = _made_by_run(store, name, device=context.device)
             if isinstance(made, StoredPolicy):

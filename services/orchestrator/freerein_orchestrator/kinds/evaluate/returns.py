@@ -20,7 +20,6 @@ from freerein_orchestrator.kinds.evaluate.policies import (
     PolicyConfig,
     check_choice,
     check_policy,
-    find_choice,
     find_policy,
     goal_of,
     parse_policy,
@@ -79,7 +78,7 @@ class ReturnsEvaluation:
         self.subject: dict[str, Any] = {"goal_text": goal_text, **self._policy.description}
         if (choice := config.baseline_choice) is not None:
             pinned = replace(setup, subject=setup.subject.get("baseline", {}))
-            self._baseline = _GivenPolicy(find_choice(pinned, choice), goal_of(choice), goal_text)
+            self._baseline = _GivenPolicy(find_policy(pinned, choice), goal_of(choice), goal_text)
             self.subject["baseline"] = self._baseline.description
         self._expert: _GivenPolicy | None = None
         if setup.task.has_expert and goal_text:
