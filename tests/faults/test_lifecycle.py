@@ -26,7 +26,7 @@ SEGMENT = "/freerein.api.segmentation.v1.SegmentationService/Segment"
 WATCH_FIT = "/freerein.api.learning.v1.FitService/WatchFit"
 FAULTY_SERVICE = "tests.faults.faulty_service"
 RunBadly = Callable[..., tuple[int, str]]
-CHECKPOINT_EVERY = 20
+CHECKPOINT_EVERY = 5
 
 
 # --- a fit that runs

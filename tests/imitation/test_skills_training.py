@@ -156,7 +156,7 @@ def test_where_an_object_goes_is_chosen_once(policy: SkillsPolicy) -> None:
 
 
 def test_few_frames_like_those_of_the_fit_have_low_in_distribution_scores_and_noise_has(policy: SkillsPolicy) -> None:
-    demonstrations, labels = demonstrate(60, seed=1)
+    demonstrations, labels = demonstrate(25, seed=1)
     told: list[float] = []
     for item, skills in enumerate(labels):
         frames, actions = demonstrations.frames["front"][item], demonstrations.actions[item]
