@@ -66,7 +66,7 @@ def test_recordings_and_tags_say_which_skill_when(shell: Shell, block_with: Shel
     assert json.loads(printed.splitlines()[-1])["labels"] == truth[:2]
 
 
-@pytest.mark.parametrize("shell", [{"reward": 70}], indirect=True)
+@pytest.mark.parametrize("shell", [{"reward": 100}], indirect=True)
 def test_images_and_phrases_become_rewards(shell: Shell, block_with: Shell, tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
 
@@ -79,9 +79,9 @@ def test_images_and_phrases_become_rewards(shell: Shell, block_with: Shell, tmp_
         draw(path, [(*first, RED), (*second, BLUE)], radius=6, size=(96, 96))
         return np.stack([first, second]) / 96
 
-    for index in range(120):
+    for index in range(160):
         scene(tmp_path / "photos" / f"{index}.png")
-    held_out = [scene(tmp_path / "held-out" / f"{index:02d}.png") for index in range(40)]
+    held_out = [scene(tmp_path / "held-out" / f"{index:02d}.png") for index in range(60)]
 
     printed = shell(block_with("fit reward --images"))
     assert "a red ball on top of a blue ball" in printed  # the goal text of curl, as it was read
