@@ -26,7 +26,7 @@ from freerein.goal_text import rival_captions
 from freerein.learning import weights
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.checkpoints import Checkpoint
-from freerein.serving.model_store import CLONE_MODELS, ModelStore
+from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
 from freerein.types.sim import CreateSessionRequest
 from freerein_orchestrator.envs.recovery import RecoveringCollector

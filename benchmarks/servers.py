@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import httpx
 import orjson
 
-from freerein.cli.services import Stack, choose, free_ports
+from freerein.stack import Stack, choose, free_ports
 
 _START_TIMEOUT_S = 300.0
 _STOP_TIMEOUT_S = 60.0

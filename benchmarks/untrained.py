@@ -9,7 +9,7 @@ from torch import nn
 
 from freerein.learning import weights
 from freerein.learning.model_files import save_model
-from freerein.serving.model_store import ModelStore
+from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
 
 

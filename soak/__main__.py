@@ -14,8 +14,8 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from freerein.cli.services import Stack
 from freerein.errors import Overloaded
+from freerein.stack import Stack
 from freerein.types.sim import CloseSessionRequest
 from soak import sequences, services, watch
 from soak.leak import MOST_MIB_PER_10K_CALLS, Sample, growth_mib_per_10k_calls

@@ -10,8 +10,8 @@ import httpx
 import torch
 from benchmarks.untrained import initialise, publish
 
-from freerein.cli.services import Stack, choose, free_ports
 from freerein.clients import Channel, ImitationClient, OrchestratorClient, RewardClient, SegmentationClient, SimClient
+from freerein.stack import Stack, choose, free_ports
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.imitation import GetSpecRequest
 from freerein.types.orchestrator import StartRunRequest, WatchRunRequest

@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 import psutil
 
-from freerein.cli.services import Stack
+from freerein.stack import Stack
 from soak.leak import Sample
 
 _MIB = 2**20

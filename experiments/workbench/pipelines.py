@@ -15,11 +15,11 @@ from typing import Any
 from freerein.cli.connection import channel_to
 from freerein.cli.jobs.display import check_succeeded
 from freerein.cli.jobs.streams import follow_run
-from freerein.cli.services import Stack, choose, free_ports, isolated_environ
 from freerein.cli.settings import CliSettings
 from freerein.clients import OrchestratorClient
 from freerein.jobs.child import stop_on_sigterm
 from freerein.jobs.store import id_of
+from freerein.stack import Stack, choose, free_ports, isolated_environ
 from freerein.types.orchestrator import StartRunRequest
 
 Step = Mapping[str, Any]

@@ -28,6 +28,7 @@ from freerein import errors, wire
 from freerein.api.learning.v1 import learning_pb2
 from freerein.atomic_files import write_atomic
 from freerein.errors import NotFound, ServiceError
+from freerein.model_store import ModelStore
 from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
@@ -35,7 +36,6 @@ from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
-from freerein.serving.model_store import ModelStore
 from freerein.types import learning, segmentation
 from freerein.types.common import ActionSpec, Camera, Image, ModelRef
 from freerein.types.learning import StartFitRequest

@@ -17,7 +17,7 @@ from tests.waiting import wait_until
 from freerein.clients import Channel, ImitationClient, SimClient
 from freerein.errors import InvalidInput, Unauthenticated
 from freerein.learning.model_files import save_model
-from freerein.serving.model_store import ModelStore
+from freerein.model_store import ModelStore
 from freerein.types.common import ActionSpec, Camera, Goal, Image
 from freerein.types.imitation import ControlResponse
 from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec

@@ -3,7 +3,7 @@
 import pytest
 from experiments.segmentation.draw import Part, demonstrations
 
-from freerein.serving.model_store import CLONE_MODELS, ModelStore
+from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein_segmentation.model.segmentation_model import load
 
 STORE = ModelStore(CLONE_MODELS / "segmentation")

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from freerein.model_store import ModelStore
 from freerein.serving.health import Health
 from freerein.serving.learned import LearnedSettings
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Camera, ModelRef
 from freerein_imitation.__main__ import NAME, build
 from freerein_imitation.model.policy import CameraFrames, PolicyOutput, PolicySpec

@@ -20,12 +20,12 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.fork_server import ForkServer, StartChild, spawn
+from freerein.model_store import ModelStore
 from freerein.serving.health import Health
 from freerein.serving.learned import LearnedSettings
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import Camera
 from freerein_segmentation.__main__ import NAME, build
 from freerein_segmentation.model import Prediction

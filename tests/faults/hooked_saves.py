@@ -11,7 +11,7 @@ import torch
 from freerein.atomic_files import write_atomic
 from freerein.jobs.store import JobStore
 from freerein.learning import checkpoints
-from freerein.serving.model_store import ModelStore
+from freerein.model_store import ModelStore
 
 
 def write_down_calls(path: str) -> None:

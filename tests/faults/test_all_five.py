@@ -21,7 +21,6 @@ import pytest
 import pytest_asyncio
 from tests.faults import control_robot as robots
 
-from freerein.cli.services import RestartPolicy, ServiceStatus, Stack
 from freerein.clients import (
     Channel,
     ImitationClient,
@@ -32,6 +31,7 @@ from freerein.clients import (
 )
 from freerein.clients.rpc import Client
 from freerein.errors import Unavailable
+from freerein.stack import RestartPolicy, ServiceStatus, Stack
 from freerein.types.orchestrator import StartRunRequest, WatchRunRequest, WatchRunResponse
 from freerein.types.reward import RewardRequest
 from freerein.types.segmentation import SegmentRequest

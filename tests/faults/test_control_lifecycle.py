@@ -17,7 +17,7 @@ from tests.waiting import wait_until
 
 from freerein.clients import Channel, ImitationClient, ModelClient
 from freerein.errors import FailedPrecondition, Unavailable
-from freerein.serving.model_store import ModelStore
+from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.learning import ActivateModelRequest
 

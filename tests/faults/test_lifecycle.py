@@ -17,7 +17,7 @@ import pytest
 from tests.faults.demonstrations import record_demonstrations
 
 from freerein import wire
-from freerein.serving.model_store import ModelStore
+from freerein.model_store import ModelStore
 from freerein.types.learning import WatchFitRequest
 from freerein.types.segmentation import SegmentRequest, SegmentResponse
 

@@ -14,7 +14,7 @@ import torch
 from freerein.clients import Channel, SegmentationClient
 from freerein.learning import weights
 from freerein.learning.model_files import save_model
-from freerein.serving.model_store import ModelStore
+from freerein.model_store import ModelStore
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.segmentation import SegmentRequest, SegmentResponse
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork

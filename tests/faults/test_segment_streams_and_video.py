@@ -20,7 +20,7 @@ from freerein.clients import Channel, SegmentationClient
 from freerein.errors import FailedPrecondition, InvalidInput, TooLarge
 from freerein.learning import weights
 from freerein.learning.model_files import save_model
-from freerein.serving.model_store import ModelStore
+from freerein.model_store import ModelStore
 from freerein.types.common import ActionSpec, Camera, ModelRef
 from freerein.types.segmentation import (
     ListSkillsRequest,

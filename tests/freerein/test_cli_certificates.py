@@ -14,10 +14,10 @@ import trustme
 from grpc import aio
 
 from freerein.cli.doctor import services
-from freerein.cli.services import Stack
-from freerein.cli.services.certificates import tls_problem
 from freerein.clients import Channel, SimClient
 from freerein.errors import Unavailable, Unimplemented
+from freerein.stack import Stack
+from freerein.stack.certificates import tls_problem
 from freerein.types.sim import ListTasksRequest
 
 AUTHORITY = trustme.CA()

@@ -11,11 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
-from freerein.cli.services import configured_ports
-from freerein.cli.services.endpoints import running_endpoints
 from freerein.errors import InvalidInput
 from freerein.ports import PORTS, Ports, address, moved
 from freerein.serving.settings import ServiceSettings
+from freerein.stack import configured_ports
+from freerein.stack.endpoints import running_endpoints
 
 
 def test_without_port_variables_services_listen_on_the_port_table() -> None:

@@ -15,10 +15,10 @@ from typing import Any
 import psutil
 import pytest
 
-from freerein.cli.services import RestartPolicy, ServiceStatus, Stack
-from freerein.cli.services.endpoints import free_ports, hold
 from freerein.errors import DeadlineExceeded, FailedPrecondition
 from freerein.ports import Ports
+from freerein.stack import RestartPolicy, ServiceStatus, Stack
+from freerein.stack.endpoints import free_ports, hold
 
 _READY = """
 import os, signal, socket, subprocess, sys
@@ -42,7 +42,7 @@ _HASTY = RestartPolicy(first_delay_s=0.01, longest_delay_s=0.02, crashes=3, wind
 _PARENT = """
 import asyncio, os, sys
 from pathlib import Path
-from freerein.cli.services import Stack, free_ports
+from freerein.stack import Stack, free_ports
 async def main():
     ports = free_ports(["sim"])
     async with Stack({"sim": "tiny"}, data_dir=Path(sys.argv[1]), environ=os.environ, ports=ports) as stack:

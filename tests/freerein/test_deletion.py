@@ -23,8 +23,8 @@ from freerein.data.removal import replace as replace_dataset
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound, Overloaded, Unavailable
 from freerein.jobs.in_use import IsNamed, check_unused, names_dataset, names_model, names_run
 from freerein.jobs.store import JobStore
+from freerein.model_store import ModelStore
 from freerein.serving.model_cache import ModelCache
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Camera, ModelRef, Trajectory
 from freerein.types.learning import ActivateModelRequest, DeleteModelRequest
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksResponse, Task

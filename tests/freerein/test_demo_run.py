@@ -16,9 +16,9 @@ from freerein.cli.demo.pictures import RewardExample
 from freerein.cli.demo.report import LOG_WIDTH, Figure, Reporter, summary, write
 from freerein.cli.demo.run import run
 from freerein.cli.demo.run_progress import RunProgress
-from freerein.cli.services import isolated_environ
-from freerein.cli.services.endpoints import running_endpoints
 from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.stack import isolated_environ
+from freerein.stack.endpoints import running_endpoints
 from freerein.types.orchestrator import Run
 
 RUN = Run(id="1" * 32, state="running", config={}, kind="ppo", steps=1000)

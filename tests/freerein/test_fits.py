@@ -19,10 +19,10 @@ import pytest
 
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, Overloaded
 from freerein.jobs import queue, retry
+from freerein.model_store import ModelStore
 from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.model_cache import ModelCache
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.learning import (
     CancelFitRequest,

@@ -4,8 +4,8 @@ from typing import Any, Literal
 
 import pytest
 
+from freerein.config import bounded, bounded_or_all, one_of, parse
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded, bounded_or_all, one_of, parse
 
 
 @dataclass(frozen=True)

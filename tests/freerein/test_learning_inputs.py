@@ -2,8 +2,8 @@ from dataclasses import dataclass
 
 import pytest
 
+from freerein.config import bounded
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.inputs import InputSpec, spec_of
 from freerein.types.common import ActionSpec, Camera

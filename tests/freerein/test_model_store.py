@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
+from freerein.model_store import ModelStore
 from freerein.serving.model_cache import ModelCache
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.learning import ActivateModelRequest, ListModelsRequest
 

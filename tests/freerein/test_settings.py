@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from freerein.cli.services import configured_ports
 from freerein.cli.settings import CliSettings
 from freerein.clients import Channel
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.serving.environment import KNOWN, reasons
 from freerein.serving.learned import LearnedSettings
 from freerein.serving.settings import ServiceSettings
+from freerein.stack import configured_ports
 from freerein_orchestrator.settings import OrchestratorSettings
 from freerein_reward.settings import RewardSettings
 from freerein_sim.settings import SimSettings

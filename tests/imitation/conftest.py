@@ -10,11 +10,11 @@ import pytest
 import torch
 from tests.faults import faulty_policy as policies
 
+from freerein.model_store import ModelStore
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_imitation.core import ActService, ControlService, PolicyRunner
 from freerein_imitation.methods import METHODS

@@ -15,10 +15,10 @@ import pytest
 
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.model_store import ModelStore
 from freerein.serving.batcher import Batcher
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Goal, Image, Observation, Trajectory
 from freerein.types.imitation import ActRequest, GetSpecRequest
 from freerein_imitation.core import ActService, PolicyRunner

@@ -14,10 +14,10 @@ from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.learning import weights
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.actor_critic.policy_files import save_in_distribution, save_policy
+from freerein.model_store import ModelStore
 from freerein.serving.batcher import Batcher
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, GetSpecRequest, PublishPolicyRequest
 from freerein_imitation.core import ActService, PolicyRunner, PublishService

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from freerein.config import parse
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.learning import weights
-from freerein.learning.config import parse
 from freerein.learning.fit import fit
 from freerein.learning.fit_dataset import FitDataset
 from freerein.types.common import ActionSpec, ModelRef, Trajectory

@@ -23,11 +23,11 @@ from freerein.errors import InvalidInput
 from freerein.learning.fit import fit
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.model_files import read_card
+from freerein.model_store import ModelStore
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ControlRequest, GetSpecRequest, Hello, Observed
 from freerein.types.segmentation import FLAGGED

@@ -19,7 +19,7 @@ from freerein.data.labels import LabelsWriter
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import weights
 from freerein.learning.model_files import save_model
-from freerein.serving.model_store import ModelStore
+from freerein.model_store import ModelStore
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.sim import CreateSessionRequest, Predicate, Task
 from freerein_orchestrator.envs.episodes import replay, run_episodes

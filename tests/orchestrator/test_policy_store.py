@@ -8,7 +8,7 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.actor_critic.policy_files import load_policy, save_policy
-from freerein.serving.model_store import ModelStore
+from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.rl.initial_network import init_network

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
+from freerein.config import parse
 from freerein.errors import InvalidInput
-from freerein.learning.config import parse
 from freerein_orchestrator.kinds.ppo import PPORunConfig, session_request
 from freerein_orchestrator.rewards import REWARDS
 

@@ -9,7 +9,7 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
 from freerein.learning.actor_critic.eye import GoalEye
-from freerein.serving.model_store import CLONE_MODELS, ModelStore
+from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
 from freerein_orchestrator.rl.goal_eye import load_object_encoder
 

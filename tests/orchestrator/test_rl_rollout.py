@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from freerein.config import parse
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCriticSpec
-from freerein.learning.config import parse
 from freerein_orchestrator.rewards.shaping import Shaping
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups, collect_groups

@@ -13,10 +13,10 @@ import pytest
 from freerein import images
 from freerein.errors import InvalidInput, ModelFault, OutputNotFinite, ServiceError, TooLarge
 from freerein.goal_text import Grammar
+from freerein.model_store import ModelStore
 from freerein.serving.batcher import Batcher
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, RewardRequest
 from freerein_reward.core import GoalCache, Inference, RewardCore

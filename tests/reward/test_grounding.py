@@ -8,7 +8,7 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.model_files import read_card
-from freerein.serving.model_store import ModelStore
+from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward.methods import load
 from freerein_reward.model import KNOWN, DualEncoder, DualEncoderSpec, GradCamModel

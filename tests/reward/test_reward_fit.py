@@ -11,8 +11,8 @@ from freerein.data.lookup import open_dataset
 from freerein.data.reader import Dataset
 from freerein.data.writer import create
 from freerein.errors import InvalidInput
+from freerein.model_store import ModelStore
 from freerein.relations import SpatialRelation
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_reward.methods import METHODS, load
 from freerein_reward.model import DualEncoderModel, GradCamModel, PhraseLocations, load_grounding

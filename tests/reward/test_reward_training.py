@@ -9,8 +9,8 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.fit import fit
+from freerein.model_store import ModelStore
 from freerein.relations import SpatialRelation, caption
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward import objectives
 from freerein_reward.model import DualEncoder, DualEncoderModel, DualEncoderSpec, GradCamModel, load_grounding

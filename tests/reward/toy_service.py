@@ -4,11 +4,11 @@ import json
 import sys
 from pathlib import Path
 
+from freerein.model_store import ModelStore
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein.serving.model_store import ModelStore
 from freerein_reward.__main__ import NAME, build
 from freerein_reward.settings import RewardSettings
 

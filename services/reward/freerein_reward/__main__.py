@@ -13,13 +13,13 @@ from freerein.errors import FailedPrecondition
 from freerein.fork_server import ForkServer, StartChild, spawn
 from freerein.learning.model_files import choose_device
 from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
+from freerein.model_store import ModelStore
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
 from freerein.serving.learned import learned_service, open_store
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein.serving.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward.core import (
     GoalCache,

@@ -14,7 +14,7 @@ from typing import Any
 from freerein.errors import ServiceError
 from freerein.learning.fit import FitEvent, FitResult, fit_and_save
 from freerein.learning.model_files import choose_device, save_model
-from freerein.serving.model_store import ModelStore
+from freerein.model_store import ModelStore
 from freerein_reward.model import GROUNDING, DualEncoder, GradCamModel
 from freerein_reward.training import (
     GroundingConfig,

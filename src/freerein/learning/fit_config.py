@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
-from freerein.learning.config import bounded, parse
+from freerein.config import bounded, parse
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class FitConfig:
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, object]) -> Self:
-        """Returns the configuration of the given values; see `freerein.learning.config.parse`."""
+        """Returns the configuration of the given values; see `freerein.config.parse`."""
         return parse(cls, values)
 
 

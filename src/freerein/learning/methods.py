@@ -16,11 +16,11 @@ import torch
 from torch import nn
 
 from freerein.atomic_files import write_atomic
+from freerein.config import parse
+from freerein.config_schema import config_schema
 from freerein.data.lookup import choose_cameras, unseen_cameras
 from freerein.errors import InvalidInput
 from freerein.jobs.child import run_child
-from freerein.learning.config import parse
-from freerein.learning.config_schema import config_schema
 from freerein.learning.fit import FitResult, fit_and_save
 from freerein.learning.fit_config import DatasetFitConfig, FitConfig
 from freerein.learning.fit_dataset import FitDataset

@@ -15,10 +15,10 @@ from torch import nn
 from torch.overrides import TorchFunctionMode
 
 from freerein.atomic_files import write_atomic
+from freerein.config import C, parse
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import tensor_files
 from freerein.learning.checkpoints import JSON
-from freerein.learning.config import C, parse
 
 _MAX_CARD_BYTES = 1 << 20
 

@@ -12,9 +12,9 @@ from freerein.fork_server import StartChild, spawn
 from freerein.jobs.attempt import AttemptRunner
 from freerein.jobs.queue import LocalQueue
 from freerein.jobs.store import JobStore
+from freerein.model_store import DEFAULT_NAME, ModelStore
 from freerein.serving.health import Health
 from freerein.serving.model_cache import ModelCache
-from freerein.serving.model_store import DEFAULT_NAME, ModelStore
 from freerein.types import learning
 from freerein.types.common import check_name
 

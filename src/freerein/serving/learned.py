@@ -11,13 +11,13 @@ from freerein.api.learning.v1 import learning_pb2
 from freerein.fork_server import StartChild, spawn
 from freerein.jobs.in_use import check_unused, names_model
 from freerein.jobs.names import LINKS
+from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.serving.batcher import Batcher
 from freerein.serving.fits import FitService
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.methods import methods_of
 from freerein.serving.model_cache import ModelCache
-from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.serving.rest.websocket import OpenSession
 from freerein.serving.settings import ServiceSettings
 from freerein.types.common import ModelRef

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
-from freerein.serving.model_store import DEFAULT_NAME, ModelStore, model_card
+from freerein.model_store import DEFAULT_NAME, ModelStore, model_card
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import (
     ActivateModelRequest,

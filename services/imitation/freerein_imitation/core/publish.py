@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from freerein.config import parse
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.learning.actor_critic import policy_files
-from freerein.learning.config import parse
 from freerein.learning.model_files import save_model
 from freerein.types.common import ActionSpec, Camera, ModelRef, check_id, check_name
 from freerein.types.imitation import PublishPolicyRequest, PublishPolicyResponse

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from freerein.config import bounded
 from freerein.learning import model_files
-from freerein.learning.config import bounded
 from freerein.learning.encoders import ENCODERS, CameraEncoders
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset

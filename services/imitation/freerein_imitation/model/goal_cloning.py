@@ -13,7 +13,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from freerein.learning.config import bounded, one_of
+from freerein.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution

@@ -11,9 +11,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from freerein.config import parse
 from freerein.errors import InvalidInput
 from freerein.learning.checkpoints import JSON
-from freerein.learning.config import parse
 from freerein.learning.encoders import FrameTensors
 from freerein.learning.inputs import InputSpec
 from freerein.types.common import ActionSpec, Camera

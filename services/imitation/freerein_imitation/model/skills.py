@@ -15,9 +15,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from freerein.config import bounded
 from freerein.errors import InvalidInput
 from freerein.learning import model_files
-from freerein.learning.config import bounded
 from freerein.learning.encoders import FrameTensors
 from freerein.learning.image_statistics import image_statistics, statistics_size
 from freerein.learning.in_distribution import InDistribution

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.learner import Items, Learner, Losses

@@ -14,8 +14,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from freerein.config import bounded
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded
 from freerein.learning.learner import Items, Losses, Stage
 from freerein.learning.train_state import TrainState
 from freerein_imitation import objectives

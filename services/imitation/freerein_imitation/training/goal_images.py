@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.learner import Items, Learner, Losses

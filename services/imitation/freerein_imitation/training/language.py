@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from freerein.config import bounded, one_of
 from freerein.learning import weights
-from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, FrameTensors
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.image_statistics import image_statistics

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.inputs import spec_of

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from freerein.config import bounded
 from freerein.learning import weights
-from freerein.learning.config import bounded
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.learner import Items, Learner, Losses, Stage

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from freerein.learning.config_schema import config_schema
+from freerein.config_schema import config_schema
 from freerein_orchestrator.kinds import KINDS
 
 

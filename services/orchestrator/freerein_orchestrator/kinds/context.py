@@ -21,8 +21,8 @@ from freerein.clients import (
 )
 from freerein.clients.rpc import Client
 from freerein.jobs.attempt import WAITING_FILE
+from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.ports import address, addresses
-from freerein.serving.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef
 from freerein_orchestrator.envs.retry import Retry
 from freerein_orchestrator.kinds.metrics_logger import MetricsLogger

@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 from freerein.atomic_files import fsync_folder, write_atomic
 from freerein.clients import SyncClient
+from freerein.config import parse
 from freerein.errors import DeadlineExceeded, FailedPrecondition, InvalidInput, ServiceError, Unavailable
-from freerein.learning.config import parse
 from freerein.types.common import check_name
 from freerein.types.learning import (
     CancelFitRequest,

@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass
 from functools import partial
 
 from freerein.atomic_files import write_atomic
+from freerein.config import bounded, parse
 from freerein.data import Dataset, dataset_path
 from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.data.lookup import choose_camera
-from freerein.learning.config import bounded, parse
 from freerein.types.common import ModelRef, Trajectory, check_name
 from freerein.types.segmentation import (
     NO_SKILL,

@@ -20,8 +20,8 @@ from functools import partial
 from typing import Any
 
 from freerein.atomic_files import fsync_folder, storage_errors, write_atomic
+from freerein.config import parse
 from freerein.errors import InvalidInput, ServiceError
-from freerein.learning.config import parse
 from freerein.types.common import check_name
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind

@@ -9,7 +9,7 @@ from pathlib import Path
 from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput, NotFound
 from freerein.learning.actor_critic.policy_files import NAMES, StoredPolicy, load_policy
-from freerein.serving.model_store import CLONE_MODELS, ModelStore
+from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef, check_name
 
 _RUN_ID = re.compile(r"[0-9a-f]{32}")

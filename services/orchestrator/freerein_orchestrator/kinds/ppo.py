@@ -17,11 +17,11 @@ import torch
 from torch import Tensor
 
 from freerein.clients.tasks import find_camera, find_task
+from freerein.config import bounded, one_of, parse
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.actor_critic.policy_files import StoredPolicy, save_in_distribution, save_policy
 from freerein.learning.checkpoints import JSON, Checkpoint
-from freerein.learning.config import bounded, one_of, parse
 from freerein.learning.model_files import choose_device
 from freerein.types.common import Camera, ModelRef, check_name
 from freerein.types.sim import CreateSessionRequest, Task

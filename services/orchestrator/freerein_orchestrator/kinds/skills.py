@@ -14,8 +14,8 @@ from typing import Any
 
 from freerein.atomic_files import write_atomic
 from freerein.clients.tasks import find_task
+from freerein.config import bounded, parse
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded, parse
 from freerein.types.common import check_name
 from freerein.types.sim import Task
 from freerein_orchestrator.kinds.context import RunContext

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from freerein.config import bounded, bounded_or_none
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded, bounded_or_none
 
 _MAX_ROLLOUT = 131_072
 

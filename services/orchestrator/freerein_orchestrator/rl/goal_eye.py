@@ -8,12 +8,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from freerein.config import parse
 from freerein.errors import InvalidInput
 from freerein.learning import model_files, tensor_files
 from freerein.learning.actor_critic.body import Exploration
 from freerein.learning.actor_critic.eye import EyeSpec
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
-from freerein.learning.config import parse
 from freerein.learning.encoders.clip import ClipImageSpec
 from freerein.types.common import Camera
 from freerein_orchestrator.rl.config import PPOConfig

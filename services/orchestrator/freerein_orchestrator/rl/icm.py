@@ -18,9 +18,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from freerein.config import bounded
 from freerein.learning import weights
 from freerein.learning.actor_critic.networks import ActorCriticSpec
-from freerein.learning.config import bounded
 from freerein.learning.encoders import SpatialEncoder
 from freerein.learning.optimiser import optimiser_step
 from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState

@@ -12,11 +12,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from freerein.config import parse
 from freerein.errors import InvalidInput
 from freerein.learning import train_state
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.checkpoints import JSON, Checkpoint
-from freerein.learning.config import parse
 from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState, tensors_under
 from freerein_orchestrator.rl.config import PPOConfig, Schedule
 from freerein_orchestrator.rl.episode_stats import EpisodeStats

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from freerein.config import bounded
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded
 from freerein.learning.encoders.clip import ClipImageSpec
 
 

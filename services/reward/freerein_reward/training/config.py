@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from freerein.learning.config import bounded
+from freerein.config import bounded
 from freerein.learning.fit_config import DatasetFitConfig, FitConfig
 
 

@@ -8,9 +8,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.rnn import pad_sequence
 
+from freerein.config import bounded, bounded_or_all, one_of
 from freerein.errors import InvalidInput
 from freerein.learning.action_scaling import ActionScaling
-from freerein.learning.config import bounded, bounded_or_all, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution

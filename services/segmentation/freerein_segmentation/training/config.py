@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from freerein.config import bounded, bounded_or_all, one_of
 from freerein.data.batch_memory import DEFAULT_BATCH_SIZE, DEFAULT_STEPS
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded, bounded_or_all, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein_segmentation.model import MAX_CONTEXT, Context

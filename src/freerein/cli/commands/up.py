@@ -15,13 +15,13 @@ from rich.live import Live
 from rich.table import Table
 
 from freerein.cli.output import AsJson, command, print_error
-from freerein.cli.services import ServiceStatus, Stack, choose, configured_ports
-from freerein.cli.services import free_ports as find_free_ports
-from freerein.cli.services.certificates import certificate_problem
-from freerein.cli.services.process import CONFIGURATION_ERROR
 from freerein.cli.settings import CliSettings
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceError
 from freerein.ports import PORT_BASE
+from freerein.stack import ServiceStatus, Stack, choose, configured_ports
+from freerein.stack import free_ports as find_free_ports
+from freerein.stack.certificates import certificate_problem
+from freerein.stack.process import CONFIGURATION_ERROR
 
 _COLOURS = {"ready": "green", "given up": "red", "misconfigured": "red", "stopped": "dim"}
 

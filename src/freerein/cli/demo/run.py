@@ -15,11 +15,11 @@ from freerein.cli.demo.learning import LEARNED
 from freerein.cli.demo.parts import Clients, Demo
 from freerein.cli.demo.report import Figure, Reporter
 from freerein.cli.output import print_json
-from freerein.cli.services import Endpoints, ServiceStatus, Stack, choose, free_ports, isolated_environ
-from freerein.cli.services.endpoints import is_free, running_endpoints
 from freerein.cli.settings import CliSettings
 from freerein.clients import ImitationClient, OrchestratorClient, RewardClient, SegmentationClient, SimClient
 from freerein.ports import Ports, default_ports
+from freerein.stack import Endpoints, ServiceStatus, Stack, choose, free_ports, isolated_environ
+from freerein.stack.endpoints import is_free, running_endpoints
 
 _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
 _READY_TIMEOUT_S = 300.0

@@ -14,8 +14,8 @@ from rich.text import Text
 from freerein.cli.doctor import machine, services
 from freerein.cli.doctor.machine import CheckResult
 from freerein.cli.output import AsJson, command, print_json
-from freerein.cli.services.endpoints import installed
 from freerein.cli.settings import CliSettings
+from freerein.stack.endpoints import installed
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("note", "yellow"), "problem": ("problem", "bold red")}
 

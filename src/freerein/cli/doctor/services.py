@@ -9,17 +9,17 @@ import grpc
 import httpx
 
 from freerein.cli.doctor.machine import CheckResult
-from freerein.cli.services.certificates import (
+from freerein.cli.settings import CliSettings
+from freerein.clients.channel import is_loopback
+from freerein.ports import PORTS, Ports, addresses
+from freerein.stack.certificates import (
     certificate_file,
     certificate_problem,
     speaks_tls,
     tls_context,
     tls_problem,
 )
-from freerein.cli.services.endpoints import configured_host, configured_ports, connectable, is_free
-from freerein.cli.settings import CliSettings
-from freerein.clients.channel import is_loopback
-from freerein.ports import PORTS, Ports, addresses
+from freerein.stack.endpoints import configured_host, configured_ports, connectable, is_free
 
 _TIMEOUT_S = 2.0
 _CALL_S = 10.0

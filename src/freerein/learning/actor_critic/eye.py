@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from freerein.config import bounded
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
-from freerein.learning.config import bounded
 from freerein.learning.encoders.clip import ClipImageEncoder, ClipImageSpec
 
 _OBJECT_WIDTH = 0.2

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from freerein.config import bounded
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.distributions import Categorical, Distribution, Gaussian
 from freerein.learning.actor_critic.eye import EyeSpec, GoalEye
-from freerein.learning.config import bounded
 from freerein.learning.encoders import SpatialEncoder
 
 _HIDDEN_GAIN = 2**0.5

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freerein.learning.config import bounded
+from freerein.config import bounded
 
 _EXPANSION = 4
 _HEAD_CHANNELS = 16

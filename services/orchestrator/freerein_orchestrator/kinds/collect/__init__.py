@@ -8,8 +8,8 @@ import json
 from functools import partial
 
 from freerein.atomic_files import write_atomic
+from freerein.config import parse
 from freerein.data import Dataset, dataset_path
-from freerein.learning.config import parse
 from freerein_orchestrator.kinds.collect.config import CollectConfig
 from freerein_orchestrator.kinds.collect.curiosity import explore
 from freerein_orchestrator.kinds.collect.scripted import demonstrate

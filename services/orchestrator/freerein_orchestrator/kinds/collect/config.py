@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from freerein.config import bounded
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded
 from freerein.types.common import check_name
 
 

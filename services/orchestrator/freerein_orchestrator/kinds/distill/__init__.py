@@ -22,11 +22,11 @@ from typing import Any
 import torch
 
 from freerein.atomic_files import fsync_folder, write_atomic
+from freerein.config import bounded, parse
 from freerein.data import Dataset, dataset_path, save_teachers
 from freerein.data.folder_locks import temporary_folder
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.actor_critic.policy_files import StoredPolicy
-from freerein.learning.config import bounded, parse
 from freerein.types.common import ModelRef, check_name
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_teachers
 from freerein_orchestrator.kinds import fit

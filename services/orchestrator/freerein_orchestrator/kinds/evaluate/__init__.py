@@ -11,8 +11,8 @@ from typing import Any
 import torch
 
 from freerein.clients.tasks import find_task
+from freerein.config import parse
 from freerein.errors import InvalidInput
-from freerein.learning.config import parse
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.evaluate import landmarks, recipes, relations, returns, segmentation, sentences
 from freerein_orchestrator.kinds.evaluate.form import Form, FormConfig, Setup

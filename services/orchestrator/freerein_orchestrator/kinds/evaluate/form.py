@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from freerein.clients import SyncClient
 from freerein.clients.tasks import find_camera
+from freerein.config import bounded
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded
 from freerein.metrics import mean_interval, ratio_interval
 from freerein.types.common import Camera
 from freerein.types.sim import CreateSessionRequest, Recipe, Task

@@ -5,9 +5,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeAlias
 
+from freerein.config import parse
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.policy_files import NAMES, StoredPolicy, load_policy
-from freerein.learning.config import parse
 from freerein.types.common import Goal, ModelRef
 from freerein_orchestrator.envs.policies import PolicyHandle, expert_policy, served_policy, stored_policy
 from freerein_orchestrator.envs.random_policies import uniform_policy

@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from freerein.config import bounded
 from freerein.errors import InvalidInput
-from freerein.learning.config import bounded
 from freerein.types.common import Goal
 from freerein.types.sim import DrawRecipesRequest, Recipe
 from freerein_orchestrator.envs.episodes import Episode, run_episodes

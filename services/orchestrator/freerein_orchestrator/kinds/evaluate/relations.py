@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.clients.tasks import find_camera
+from freerein.config import bounded
 from freerein.errors import FailedPrecondition, InvalidInput
-from freerein.learning.config import bounded
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, RewardRequest
 from freerein.types.sim import Predicate, Task

@@ -8,8 +8,8 @@ from typing import Any, Literal, cast
 import numpy as np
 import numpy.typing as npt
 
+from freerein.config import bounded
 from freerein.errors import InvalidInput, Unavailable
-from freerein.learning.config import bounded
 from freerein.metrics import frame_accuracy, majority_accuracy
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import (

@@ -13,11 +13,11 @@ from typing import Self
 
 import httpx
 
-from freerein.cli.services.certificates import tls_context
-from freerein.cli.services.endpoints import configured_host, connectable, hold
-from freerein.cli.services.process import RestartPolicy, ServiceCommand, ServiceProcess, ServiceStatus
 from freerein.errors import DeadlineExceeded, FailedPrecondition
 from freerein.ports import PORTS, Ports
+from freerein.stack.certificates import tls_context
+from freerein.stack.endpoints import configured_host, connectable, hold
+from freerein.stack.process import RestartPolicy, ServiceCommand, ServiceProcess, ServiceStatus
 
 _RESTARTS = RestartPolicy()
 _PROBE_TIMEOUT_S = 2.0

@@ -14,7 +14,7 @@ from typing import Literal
 
 import httpx
 
-from freerein.cli.services.certificates import tls_problem
+from freerein.stack.certificates import tls_problem
 
 CONFIGURATION_ERROR = 3
 DRAIN_S = 10.0

@@ -22,7 +22,7 @@ from freerein.types.learning import Model
 DEFAULT_NAME = "default"
 MANIFEST = "manifest.json"
 CARD = "card.json"
-CLONE_MODELS = Path(__file__).parents[3] / "models"
+CLONE_MODELS = Path(__file__).parents[2] / "models"
 """Default folder of the shipped models."""
 
 
