@@ -32,7 +32,7 @@ from freerein.clients import (
 from freerein.clients.rpc import Client
 from freerein.errors import Unavailable
 from freerein.stack import RestartPolicy, ServiceStatus, Stack
-from freerein.types.orchestrator import StartRunRequest, WatchRunRequest, WatchRunResponse
+from freerein.types.orchestrator import GetRunRequest, StartRunRequest, WatchRunRequest, WatchRunResponse
 from freerein.types.reward import RewardRequest
 from freerein.types.segmentation import SegmentRequest
 from freerein.types.sim import DemonstrateRequest
@@ -288,3 +288,22 @@ async def test_a_killed_service_is_soon_back_and_retries_succeed(
 
     for _ in range(repeats):
         await within(RECOVERY_S, killed)
+
+
+@pytest.mark.long  # short, of the services that a run calls: test_kill_matrix.py
+@pytest.mark.fault("O15")
+async def test_an_acknowledged_run_succeeds_though_all_five_services_are_killed_at_once(
+    stack: Stack, probes: dict[str, Probe]
+) -> None:
+    client: Any = probes["orchestrator"].client
+    config = {"task": "grid", "dataset": "acknowledged", "behaviour": "random", "count": 3}
+    run = (await client.start_run(StartRunRequest("collect", config, "acknowledged"))).run
+    killed = {name: one.status().pid for name, one in probes.items()}
+    for pid in killed.values():
+        os.kill(pid, signal.SIGKILL)
+    await until(stack, lambda: all(one.status().pid not in (0, killed[name]) for name, one in probes.items()), 300)
+    await stack.ready(timeout_s=300)
+    while run.state in ("queued", "running"):
+        await asyncio.sleep(0.1)
+        run = (await client.get_run(GetRunRequest(run.id))).run
+    assert (run.state, run.step) == ("succeeded", 3)

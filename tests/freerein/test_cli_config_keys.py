@@ -44,7 +44,8 @@ def test_help_of_one_kind_has_the_keys_of_no_other() -> None:
         ("runs start ppo --watch", "run ppo --watch"),
         ("runs list --json", "jobs list --service orchestrator --json"),
         ("runs artifacts 8b", "jobs artifacts 8b"),
-        ("fit rm 8b 9c", "jobs rm 8b 9c"),
+        ("fit rm 8b 9c", "jobs rm --service fits 8b 9c"),
+        ("fit report 8b", "jobs report 8b"),
         ("fit reward list", "fit reward list"),
     ],
 )

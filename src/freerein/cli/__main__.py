@@ -25,7 +25,7 @@ COMMANDS = {
 """The first paragraph of each command's help."""
 
 
-_JOB_VERBS = ("list", "watch", "metrics", "report", "cancel", "rm", "resume")
+_FIT_VERBS = ("list", "watch", "metrics", "cancel", "rm", "resume")
 
 
 class _LazyGroup(TyperGroup):
@@ -48,8 +48,10 @@ def present_words(args: list[str]) -> list[str]:
             return ["jobs", verb, "--service", "orchestrator", *rest]
         case ["runs", *rest]:
             return ["jobs", *rest]
-        case ["fit", str(verb), *rest] if verb in _JOB_VERBS:
-            return ["jobs", verb, *rest]
+        case ["fit", "report", *rest]:
+            return ["jobs", "report", *rest]
+        case ["fit", str(verb), *rest] if verb in _FIT_VERBS:
+            return ["jobs", verb, "--service", "fits", *rest]
     return args
 
 

@@ -68,6 +68,7 @@ class SyncClient(_EveryRpc):
         method = getattr(self._client, name)
 
         def call(*args: object, **kwargs: object) -> object:
+            self._check()
             reply = method(*args, **kwargs)  # neither has begun: a channel opens on the running loop
             return self._iterate(_Replies(reply)) if isinstance(reply, AsyncGenerator) else self._wait(reply)
 
@@ -85,16 +86,16 @@ class SyncClient(_EveryRpc):
     ) -> None:
         self.close()
 
-    def _wait(self, reply: Coroutine[Any, Any, T]) -> T:
+    def _check(self) -> None:
         if not self._stop.alive:
-            reply.close()
             raise FailedPrecondition("The client must be open; it is closed.", hint="Make another one.")
         if self._process_id != os.getpid():  # its thread was not forked
-            reply.close()
             raise FailedPrecondition(
                 "A client must be used in the process that made it; this process was forked from that one.",
                 hint="Make it in the new process, started by spawn or forkserver.",
             )
+
+    def _wait(self, reply: Coroutine[Any, Any, T]) -> T:
         future = asyncio.run_coroutine_threadsafe(reply, self._loop)
         try:
             return future.result()
@@ -107,6 +108,7 @@ class SyncClient(_EveryRpc):
     def _iterate(self, replies: "_Replies[T]") -> Generator[T, None, None]:
         try:
             while True:
+                self._check()
                 yield self._wait(replies.next())
         except StopAsyncIteration:
             return

@@ -49,9 +49,7 @@ class MethodNotAllowed(ServiceError):
 
     code, http_status, grpc_status = "method_not_allowed", 405, "UNIMPLEMENTED"
 
-    def __init__(self, allow: str) -> None:
-        super().__init__("The path has another method.", hint="See /openapi.json.")
-        self.allow = allow
+    allow = ""
 
 
 def problem_response(error: ServiceError, request_id: str) -> Response:

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from io import FileIO
 from pathlib import Path
 from typing import Self
@@ -76,14 +77,7 @@ class VideoFrame:
 
 
 class Video:
-    """An open video: a context manager, and an iterator over its frames; the decoder waits while none is taken.
-
-    Attributes:
-        info: Describes the file; there once the first frame is, in the block or after `read_info`.
-    """
-
-    info: VideoInfo
-    _shape: tuple[int, int, int]
+    """An open video: a context manager, and an iterator over its frames; the decoder waits while none is taken."""
 
     def __init__(self, file: int, options: Options, bounds: VideoBounds, *, field: str) -> None:
         self._process, self._pipe, self._held_open = _spawn(file, options)
@@ -92,21 +86,23 @@ class Video:
         self._wait_s = bounds.first_frame_s
         self._field = field
 
-    def read_info(self) -> None:
-        """Waits for the first frame; raises as `open_video`."""
-        self.info = self._read_info()
-        height, width = self._options.height or self.info.height, self._options.width or self.info.width
-        self._shape = (height, width, self._options.channels)
+    @cached_property
+    def info(self) -> VideoInfo:
+        """Describes the file; waits for the first frame when it is asked for first, and raises as `open_video`."""
+        info = self._read_info()
         self._wait_s = self._bounds.silence_s
+        return info
 
     def __iter__(self) -> Iterator[VideoFrame]:
         """Yields the frames; raises as `open_video`."""
-        size = TIME.size + math.prod(self._shape)
+        height, width = self._options.height or self.info.height, self._options.width or self.info.width
+        shape = (height, width, self._options.channels)
+        size = TIME.size + math.prod(shape)
         while (content := self._read(b"F", size, size)) is not None:
             (time_s,) = TIME.unpack_from(content)
             if not math.isfinite(time_s):
                 raise self._error("corrupt")
-            yield VideoFrame(time_s, np.frombuffer(content, np.uint8, offset=TIME.size).reshape(self._shape))
+            yield VideoFrame(time_s, np.frombuffer(content, np.uint8, offset=TIME.size).reshape(shape))
 
     def kill(self) -> None:
         """Ends the decoder; may be called from another thread, where an iteration then fails."""
@@ -122,7 +118,7 @@ class Video:
     def __enter__(self) -> Self:
         """Waits for the first frame; raises as `open_video`."""
         try:
-            self.read_info()
+            self.info  # noqa: B018  # waits
         except BaseException:
             self.close()
             raise

@@ -63,7 +63,7 @@ class VideoDecoding:
             starting = self._run(lambda: open_video(data, channels=camera.channels, size=asked, bounds=_BOUNDS))
             try:
                 video = await _end_of(starting)
-                await _end_of(self._run(video.read_info), stop=video.kill)
+                await _end_of(self._run(lambda: video.info), stop=video.kill)
                 if not resize and (video.info.height, video.info.width) != size:
                     raise _other_size((video.info.height, video.info.width), size)
                 at_once = max(1, min(_MAX_FRAMES_AT_ONCE, _PIXELS_AT_ONCE // (camera.height * camera.width)))

@@ -23,7 +23,7 @@ from freerein.cli.output import AsJson, command, delete_each, print_json
 from freerein.cli.tables import show_all
 from freerein.cli.times import ago
 from freerein.clients import FitClient, OrchestratorClient
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be
 from freerein.jobs import wall_clock
 from freerein.jobs.names import job_name
 from freerein.types.learning import Fit
@@ -116,6 +116,8 @@ def resume(
 ) -> None:
     """Resume a failed or cancelled fit or run from its last checkpoint; with --iterations, train a ppo run on."""
     found, job_id = find(job, service)
+    if iterations and found != "orchestrator":
+        raise must_be("The job", "a ppo run", f"a fit of {found}", field="iterations", hint="Leave --iterations out.")
     if iterations:
         resumed = _ask("orchestrator", lambda client: _train_on(client, job_id, iterations))
     else:
@@ -152,12 +154,13 @@ def artifacts(run: _Id, name: _Name = "", out: _Out = None, as_json: AsJson = Fa
 
 def find(job: str, service: str) -> tuple[str, str]:
     """Returns the service and the id of the job that is meant; an empty service is looked for."""
+    clients = _clients(service)
     if is_whole_id(job):
-        if service:
+        if len(clients) == 1:
             return service, job
-        answers, _ = call_each(CLIENTS, lambda client: ask(client, "get", job))
+        answers, _ = call_each(clients, lambda client: ask(client, "get", job))
         return next(iter(answers)), job
-    found, errors = call_each(_clients(service), all_jobs)
+    found, errors = call_each(clients, all_jobs)
     services = {each.id: name for name, jobs in found.items() for each in jobs}
     if not matching(job, services):
         check_all_answer(errors)
@@ -203,7 +206,9 @@ def _delete(service: str, job_id: str) -> None:
 
 
 def _clients(service: str) -> Mapping[str, type[JobClient]]:
-    """Returns the client of a service, or of each where none is named."""
+    """Returns the client of a service, of each with fits where these are meant, or of each where none is named."""
+    if service == "fits":  # as in the commands of earlier versions, which named no run
+        return {name: client for name, client in CLIENTS.items() if client is FitClient}
     return {service: CLIENTS.get(service, FitClient)} if service else CLIENTS
 
 

@@ -22,6 +22,7 @@ from freerein.cli.jobs.terminal_plot import plot
 from freerein.cli.output import print_json
 from freerein.cli.tables import show_all
 from freerein.cli.times import duration
+from freerein.clients import FitClient
 from freerein.errors import FailedPrecondition, Unavailable
 from freerein.types.jobs import MetricRow
 
@@ -44,7 +45,10 @@ def watch(service: str, job_id: str, *, as_json: bool, metrics: Sequence[str] | 
     async def show_all_changes() -> Job:
         progress = JobProgress()
         with _display(name, progress, metrics, as_json=as_json) as show:
-            async with connect(CLIENTS[service], service) as client, aclosing(follow(client, job_id)) as jobs:
+            async with (
+                connect(CLIENTS.get(service, FitClient), service) as client,
+                aclosing(follow(client, job_id)) as jobs,
+            ):
                 with suppress(Unavailable):  # `follow` waits for a service that restarts
                     progress.add_rows(await metric_rows(client, job_id))
                 async for job in jobs:

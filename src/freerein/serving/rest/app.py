@@ -293,7 +293,9 @@ async def _raise_error(request: Request, error: Exception) -> Response:
     """Raises Starlette's error as ours."""
     http_error = cast(HTTPException, error)
     if http_error.status_code == 405:
-        raise MethodNotAllowed((http_error.headers or {}).get("Allow", ""))
+        refused = MethodNotAllowed("The path has another method.", hint="See /openapi.json.")
+        refused.allow = (http_error.headers or {}).get("Allow", "")
+        raise refused
     if http_error.status_code == 404:
         raise unknown_path(request.scope["path"], request.app.state.paths)
     raise InvalidInput("The request could not be read.", hint="See /openapi.json.")
