@@ -17,7 +17,8 @@ _MAX_SUBJECT, _DIGITS = 64, 6
 def job_name(kind: str, config: Mapping[str, Any]) -> str:
     """Returns the kind of a run, or service of a fit, with what it is about: dataset, task without world, or model."""
     task = str(config.get("task", "")).rpartition(".")[2]
-    subject = str(config.get("dataset") or task or config.get("model_name", ""))
+    dataset = "" if kind == "ppo" else config.get("dataset")  # of a ppo run it has examples of the task
+    subject = str(dataset or task or config.get("model_name", ""))
     own = re.sub(r"[^a-z0-9]+", "-", subject.lower()).strip("-")[:_MAX_SUBJECT]
     return f"{kind}-{own}" if own else kind
 

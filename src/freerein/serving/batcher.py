@@ -185,7 +185,10 @@ class Batcher(Generic[I, O]):
                 self._call_began = None
 
     def _fail(self, batch: list[_QueuedItem[I, O]]) -> None:
-        """Has each item of a batch run again alone, so that only the faulty ones fail; fails one that was alone."""
+        """Has each item of a batch run again alone, so that only the faulty ones fail; fails one that was alone.
+
+        Their deadlines stay: one that has passed while the batch failed is exceeded.
+        """
         if len(batch) == 1:
             self._faults += 1
             batch[0].resolve(ModelFault("The model failed on this input; the log holds the cause.", hint="Report it."))

@@ -1,5 +1,7 @@
 """Features, and image statistics, of many frames."""
 
+import sys
+
 import torch
 from torch import Tensor, nn
 
@@ -11,13 +13,13 @@ _ENCODE_BATCH = 256
 
 
 @torch.no_grad()
-def encode_trajectory(encoder: nn.Module, trajectories: Trajectories, item: int) -> Tensor:
-    """Returns the features of each frame of a trajectory, float32 (T, D), on the encoder's device."""
-    device, length = next(encoder.buffers()).device, len(trajectories.actions[item])
+def encode_trajectory(encoder: nn.Module, trajectories: Trajectories, item: int, *, most: int = sys.maxsize) -> Tensor:
+    """Returns the features of a trajectory's first `most` frames, float32 (T, D), on the encoder's device."""
+    device, length = next(encoder.buffers()).device, min(len(trajectories.actions[item]), most)
     parts = [
         encoder(
             {
-                camera: torch.tensor(each[item][start : start + _ENCODE_BATCH], device=device)
+                camera: torch.tensor(each[item][start : min(start + _ENCODE_BATCH, length)], device=device)
                 for camera, each in trajectories.frames.items()
             }
         )

@@ -171,6 +171,6 @@ def reached_threshold(recognizer: GoalRecognizer, trajectories: Trajectories) ->
     """
     logits = []
     for item in range(len(trajectories)):
-        embeddings = encode_trajectory(recognizer, trajectories, item)[:_THRESHOLD_FRAMES]
+        embeddings = encode_trajectory(recognizer, trajectories, item, most=_THRESHOLD_FRAMES)
         logits.append(proximity_logit(embeddings[1:], embeddings[:-1]).cpu().numpy())  # (T - 1,)
     return float(np.median(1 / (1 + np.exp(-np.concatenate(logits)))))

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from freerein.clients.tasks import find_camera, find_task
 from freerein.config import bounded, one_of, parse
+from freerein.data.lookup import open_dataset
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.actor_critic.policy_files import StoredPolicy, save_in_distribution, save_policy
@@ -197,6 +198,8 @@ class _Training:
         if self._config.resume_from:
             return self._trained_on()
         config, task = self._config, find_task(self.sims[0], self._config.task)
+        if "success_examples" in self._entry.sees:
+            open_dataset(self._context.data_dir, config.dataset)  # refuses one that is not there, before all else
         camera, goal_text = find_camera(task, config.camera), config.goal_text or task.goal_text
         eye, encoder = self._eye(goal_text, camera) if config.encoder == "goal_eye" else (None, None)
         spec = network_spec(

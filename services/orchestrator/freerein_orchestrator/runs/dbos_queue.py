@@ -345,10 +345,13 @@ class DbosQueue:
     def _requeue(self, worker: str) -> None:
         """Queues again the runs that a worker has begun and does not execute, but for those that are cancelled."""
         for run_id in [each.workflow_id for each in self._workflows(status="PENDING", executor_id=worker)]:
-            with self._store.lock(run_id) if self._store.exists(run_id) else nullcontext():  # nobody cancels meanwhile
-                workflow = self._workflow(run_id)
-                if (workflow.status, workflow.executor_id) == ("PENDING", worker):
-                    self._client.resume_workflow(run_id, queue_name=_QUEUE)
+            try:
+                with self._store.lock(run_id) if self._store.exists(run_id) else nullcontext():  # nobody cancels now
+                    workflow = self._workflow(run_id)
+                    if (workflow.status, workflow.executor_id) == ("PENDING", worker):
+                        self._client.resume_workflow(run_id, queue_name=_QUEUE)
+            except (OSError, ServiceError) as error:  # a full disk, or it was deleted: the next sweep tries again
+                _log.warning("run %s was not taken over: %s", run_id, error)
 
     def _close(self) -> None:
         with self._opening:

@@ -4,7 +4,7 @@ Where the task has an expert and a goal, the expert's return in the same episode
 Where the task has predicates `start/WHAT`, figures are also split by them: `return_mean.WHAT`, `return_mean.not-WHAT`.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -81,7 +81,7 @@ class ReturnsEvaluation:
             self._baseline = _GivenPolicy(find_policy(pinned, choice), goal_of(choice), goal_text)
             self.subject["baseline"] = self._baseline.description
         self._expert: _GivenPolicy | None = None
-        if setup.task.has_expert and goal_text:
+        if setup.task.has_expert and goal_text and "expert" not in (config.policy, config.baseline):
             self._expert = _GivenPolicy(expert_policy(setup.sim, setup.task), Goal(), goal_text)
         self._starts = [each.name for each in setup.task.predicates if each.name.startswith(_START)]
 
@@ -101,7 +101,17 @@ class ReturnsEvaluation:
             if policy is not None:
                 for own, each in zip(values, self._episodes(policy, first, count), strict=True):
                     own[key] = float(each.rewards.sum())
-        return [Trial(each, {FILMED: episode.actions}) for each, episode in zip(values, episodes, strict=True)]
+        return [
+            Trial(each | self._expert_return(each), {FILMED: episode.actions})
+            for each, episode in zip(values, episodes, strict=True)
+        ]
+
+    def _expert_return(self, values: Mapping[str, Any]) -> dict[str, float]:
+        """Returns the expert's return where the policy or the baseline is the expert, and the task has a goal."""
+        config = self._setup.config
+        if not self._setup.task.goal_text or "expert" not in (config.policy, config.baseline):
+            return {}
+        return {"expert_return": values["episode_return" if config.policy == "expert" else "baseline_return"]}
 
     def _starts_of(self, episodes: Sequence[Episode]) -> list[dict[str, bool]]:
         """Returns for each episode which predicates of the start hold."""
