@@ -314,13 +314,18 @@ def test_a_second_worker_of_the_same_name_is_refused(begin, new_worker):
 
 
 @pytest.mark.fault("O6")
-def test_another_worker_takes_over_from_one_that_is_gone(begin):
+def test_another_worker_takes_over_from_one_that_is_gone_at_last(begin, tmp_path, wait_until):
     one = begin("one")
     run_id = one.start(wait_at=3)
     one.watch(run_id, until_step=3)
     other = begin("other")
     assert one.child(run_id).is_running()
+    lock = one.runs / run_id / "state.lock"
+    lock.unlink(missing_ok=True)
+    lock.mkdir()  # so that it cannot be opened
     one.end(signal.SIGKILL)
+    wait_until(lambda: "was not taken over" in (tmp_path / "other.log").read_text(), 300)
+    lock.rmdir()
     assert other.watch(run_id)[-1]["state"] == "succeeded"
     assert other.steps(run_id) == [1, 2, 3, 4, 5]
 
