@@ -133,7 +133,7 @@ def test_only_where_every_service_answers_there_is_no_such_fit(
 
     assert _json("jobs", "list") == []
     for fit in ("0" * 32, "0"):
-        error = json.loads(_run("fit", "cancel", fit, "--json").stderr)["error"]
+        error = json.loads(_run("jobs", "cancel", fit, "--json").stderr)["error"]
         assert error["code"] == "unavailable"
         assert "segmentation, imitation, orchestrator" in error["detail"]
     one = _run("jobs", "cancel", "0" * 32, "--service", "reward", "--json")
