@@ -4,6 +4,8 @@ import os
 import signal
 import struct
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import psutil
 import pytest
-from tests.child_processes import children_running
+from tests.child_processes import children_running, stop
 
 from freerein.errors import InvalidInput, Unimplemented, UnsupportedMedia
 from freerein.video import VideoBounds, open_video
@@ -249,6 +251,20 @@ def test_a_decoder_that_yields_no_first_frame_is_given_up(h264: bytes) -> None:
     with pytest.raises(InvalidInput, match="each frame within 0 s"):
         decoded(h264, bounds=VideoBounds(first_frame_s=0.0))
     assert not decoders()
+
+
+@pytest.mark.fault("F14")
+def test_a_video_waits_for_no_other_videos_first_frame(h264: bytes) -> None:
+    stopped = open_video(h264, bounds=VideoBounds(first_frame_s=600.0))
+    stop(psutil.Process(stopped._process.pid))
+    with ThreadPoolExecutor(2) as threads, closing(stopped):
+        waiting = threads.submit(lambda: stopped.info)
+        try:
+            with threads.submit(lambda: open_video(h264).__enter__()).result(60) as video:
+                assert video.info.codec == "h264"
+        finally:
+            stopped.kill()
+        assert isinstance(waiting.exception(), InvalidInput)
 
 
 PARENT = """

@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from io import FileIO
 from pathlib import Path
 from typing import Self
@@ -85,13 +84,15 @@ class Video:
         self._bounds = bounds
         self._wait_s = bounds.first_frame_s
         self._field = field
+        self._info: VideoInfo | None = None
 
-    @cached_property
+    @property
     def info(self) -> VideoInfo:
         """Describes the file; waits for the first frame when it is asked for first, and raises as `open_video`."""
-        info = self._read_info()
-        self._wait_s = self._bounds.silence_s
-        return info
+        if self._info is None:  # no `cached_property`: in Python 3.11 one video would wait for another's
+            self._info = self._read_info()
+            self._wait_s = self._bounds.silence_s
+        return self._info
 
     def __iter__(self) -> Iterator[VideoFrame]:
         """Yields the frames; raises as `open_video`."""
