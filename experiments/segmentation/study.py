@@ -110,7 +110,8 @@ class Study:
         return self.seeds if method.seeds is None else method.seeds
 
     def _method(self, arm: Arm) -> Method:
-        (method,) = (each for each in self.methods if each.name == arm.method)
+        context = arm.options["context"]
+        (method,) = (each for each in self.methods if each.name == arm.method and context in each.contexts)
         return method
 
 

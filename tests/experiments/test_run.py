@@ -241,6 +241,13 @@ def test_an_unknown_arm_and_missing_results_are_refused_with_a_hint(
     assert "python -m experiments run" in capsys.readouterr().err
 
 
+def test_every_arm_has_a_name_and_a_configuration_of_its_own() -> None:
+    for name in registry.EXPERIMENTS:
+        experiment = registry.load(name)
+        configs = {arm.name: experiment.config(arm) for arm in experiment.arms}
+        assert len(configs) == len(experiment.arms), name
+
+
 @pytest.mark.parametrize("name", [name for name in registry.EXPERIMENTS if (RESULTS / name / "table.md").exists()])
 def test_a_committed_table_follows_from_the_committed_results(name: str) -> None:
     made = make_table(name, RESULTS)
