@@ -8,7 +8,7 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
-from freerein.learning.actor_critic.eye import GoalEye
+from freerein.learning.actor_critic.eye import GoalEye, _robust_regression
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
 from freerein_orchestrator.rl.goal_eye import load_object_encoder
@@ -113,6 +113,15 @@ def test_an_encoder_is_fitted_to_the_same_bits() -> None:
 
     first, again = fitted().state_dict(), fitted().state_dict()
     assert all(torch.equal(first[name], again[name]) for name in first)
+
+
+def test_where_a_body_holds_things_is_found_to_the_same_bits_whatever_was_in_memory() -> None:
+    draws, found = torch.Generator().manual_seed(0), []
+    inputs, targets = torch.randn(300, 3, generator=draws), torch.randn(300, 2, generator=draws)
+    for number in range(50):
+        torch.full((64,), number)  # memory that the next tensors may get
+        found.append(_robust_regression(inputs, targets)[0])
+    assert all(torch.equal(found[0], each) for each in found)
 
 
 @pytest.mark.parametrize(

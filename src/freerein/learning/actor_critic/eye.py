@@ -141,11 +141,13 @@ class GoalEye(nn.Module):
 def _robust_regression(inputs: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
     """Returns coefficients (A, 2) that minimise absolute errors of inputs (M, A) and targets (M, 2), and errors (M,).
 
-    By iteratively reweighted least squares.
+    By iteratively reweighted least squares, on the CPU: inputs may depend on each other, and of the drivers that allow
+    for that, the default one does not always return the same bits.
     """
     weight = torch.ones(len(inputs), 1, device=inputs.device)
     for _ in range(_REGRESSION_ROUNDS):
-        coefficients = torch.linalg.lstsq(inputs * weight, targets * weight).solution
+        weighted = (inputs * weight).cpu(), (targets * weight).cpu()
+        coefficients = torch.linalg.lstsq(*weighted, driver="gelsd").solution.to(inputs.device)
         errors = (targets - inputs @ coefficients).abs().amax(dim=1)
         weight = errors.clamp(min=_NOISE).rsqrt()[:, None]
     return coefficients, errors
