@@ -14,12 +14,12 @@ from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.types import imitation
 from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
-from freerein_imitation.model.policy import CameraFrames, PolicyOutput, PolicySpec
+from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput, PolicySpec
 
 CAMERAS = (Camera("front", 2, 3, 3), Camera("wrist", 4, 2, 1))
 
 
-class Waving:
+class Waving(Policy):
     """A policy that waves until it sees its goal with all of its cameras. It fails where told to."""
 
     def __init__(self, cameras: tuple[Camera, ...], *, robot_state_size: int = 0) -> None:
@@ -39,13 +39,17 @@ class Waving:
         return np.stack([goals[camera.name][:, 0, 0, 0] for camera in self.spec.cameras], axis=1).astype(np.float32)
 
     def step(
-        self, frames: CameraFrames, goals: Any, previous: Any, recurrent: Any, robot_state: Any = 0
+        self, frames: CameraFrames, goals: Any, previous: Any, recurrent: Any, robot_state: Any = None
     ) -> PolicyOutput:
         seen = self.encode_goals(frames)
         if 1 in seen:
             raise ZeroDivisionError
         after = recurrent + 0.25 + previous[:, :1] + (math.nan if 2 in seen else 0)
-        actions = after[:, :, None] * np.ones((1, 2, 2), np.float32) + np.sum(robot_state)
+        actions = after[:, :, None] * np.ones((1, 2, 2), np.float32) + (
+            0 if robot_state is None else np.sum(robot_state)
+        )
+        if robot_state is not None:
+            actions = actions + np.sum(robot_state)
         return PolicyOutput(
             actions.astype(np.float32),
             (seen == goals).all(axis=1).astype(np.float32),

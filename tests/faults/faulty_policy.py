@@ -24,14 +24,14 @@ from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.types.common import ActionSpec, Camera, ModelRef
 from freerein_imitation.__main__ import NAME, build
-from freerein_imitation.model.policy import CameraFrames, PolicyOutput, PolicySpec
+from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput, PolicySpec
 
 RIGHT, RAISES, NOT_A_NUMBER, WRONG_SHAPE, INFINITE, HELD = range(6)
 SEEDS = (7, 8)  # of the versions that are published; the first is active
 Floats = npt.NDArray[np.float32]
 
 
-class FaultyPolicy:
+class FaultyPolicy(Policy):
     """Answers what its whole history says, unless told otherwise."""
 
     spec = PolicySpec(
@@ -63,7 +63,9 @@ class FaultyPolicy:
     def encode_goals(self, goals: CameraFrames) -> Floats:
         return (goals["front"].reshape(len(goals["front"]), -1) / 255.0).astype(np.float32)
 
-    def step(self, images: CameraFrames, goals: Floats, previous: Floats, recurrent: Floats) -> PolicyOutput:
+    def step(
+        self, images: CameraFrames, goals: Floats, previous: Floats, recurrent: Floats, _robot_state: None = None
+    ) -> PolicyOutput:
         frames = images["front"]
         faults = frames[:, 0, 0, 0]
         self._sleep(frames[:, 0, 0, 1].max() / 100)

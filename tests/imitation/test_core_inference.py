@@ -13,12 +13,12 @@ from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.core.inference import InferenceRequest, InferenceResult, PolicyRunner
 from freerein_imitation.core.inputs import Subgoal
 from freerein_imitation.core.policy_state import PolicyState
-from freerein_imitation.model.policy import CameraFrames, PolicyOutput, PolicySpec
+from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput, PolicySpec
 
 Floats = npt.NDArray[np.float32]
 
 
-class Summing:
+class Summing(Policy):
     """Skills that end when the frame is as bright as their name is long; the recurrent state sums up the frames."""
 
     def __init__(self, *, horizon: int = 2, **fields: Any) -> None:
@@ -47,7 +47,9 @@ class Summing:
         self.encoded.append(list(goals))
         return np.array([[len(goal)] for goal in goals], np.float32)
 
-    def step(self, frames: CameraFrames, goals: Floats, previous: Floats, recurrent: Floats) -> PolicyOutput:
+    def step(
+        self, frames: CameraFrames, goals: Floats, previous: Floats, recurrent: Floats, _robot_state: None = None
+    ) -> PolicyOutput:
         bright = frames["front"][:, 0, 0, 0].astype(np.float32)
         self.batches.append(len(bright))
         after = recurrent + np.stack([bright, previous[:, 0]], axis=1)
@@ -62,7 +64,7 @@ class Summing:
 class Remembering(Summing):
     """Its state's second number is of the goal."""
 
-    def forget_goal(self, recurrent: Floats) -> Floats:
+    def reset_goal_state(self, recurrent: Floats) -> Floats:
         return recurrent * np.array([1, 0], np.float32)
 
 
@@ -175,7 +177,9 @@ class Blank(Summing):
     def encode_goals(self, goals: Sequence[str]) -> Floats:
         return super().encode_goals(goals)[:, :0]
 
-    def step(self, frames: CameraFrames, goals: Floats, previous: Floats, recurrent: Floats) -> PolicyOutput:
+    def step(
+        self, frames: CameraFrames, goals: Floats, previous: Floats, recurrent: Floats, _robot_state: None = None
+    ) -> PolicyOutput:
         return super().step(frames, np.ones((len(goals), 1), np.float32), previous, recurrent)
 
 

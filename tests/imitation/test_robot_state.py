@@ -156,12 +156,12 @@ def error_of(policy: SkillCloningPolicy, *, with_state: bool) -> float:
 
 
 def test_a_state_tells_the_action_where_images_do_not(model: Path, blind: SkillCloningPolicy) -> None:
-    assert error_of(SkillCloningPolicy.load(model, "cpu"), with_state=True) < 0.25
+    assert error_of(METHODS.load(model, "cpu"), with_state=True) < 0.25
     assert error_of(blind, with_state=False) > 0.9
 
 
 def test_states_in_other_units_are_flagged_and_others_of_its_constants_are_not(model: Path) -> None:
-    policy, rng, count = SkillCloningPolicy.load(model, "cpu"), np.random.default_rng(4), 200
+    policy, rng, count = METHODS.load(model, "cpu"), np.random.default_rng(4), 200
     seen, state = {"front": frames(rng, count)}, states(rng, count)
     start = np.zeros((count, 1), np.float32), np.zeros((count, policy.spec.recurrent_size), np.float32)
     goals, in_another_mode = policy.encode_goals(["towards"] * count), state.copy()
@@ -205,7 +205,7 @@ async def doors(model: Path, tmp_path: Path) -> AsyncIterator[Doors]:
 async def test_every_door_takes_the_state_and_refuses_to_act_without(doors: Doors, model: Path) -> None:
     rng, goal = np.random.default_rng(2), Goal(recipe=("towards",))
     pixels, state = frames(rng, 1)[0], states(rng, 1)[0]
-    policy = SkillCloningPolicy.load(model, "cpu")
+    policy = METHODS.load(model, "cpu")
     start = np.zeros((1, 1), np.float32), np.zeros((1, policy.spec.recurrent_size), np.float32)
     expected = policy.step({"front": pixels[None]}, policy.encode_goals(["towards"]), *start, state[None]).actions[0]
     image = Image("raw_rgb8", 8, 8, pixels.tobytes(), "front")

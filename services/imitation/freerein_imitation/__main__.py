@@ -20,7 +20,7 @@ from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein_imitation.core import ActService, ControlService, PolicyRunner, PublishService
 from freerein_imitation.methods import METHODS
-from freerein_imitation.model.policy import Policy, takes_robot_state
+from freerein_imitation.model.policy import Policy
 from freerein_imitation.openpi import OpenpiService
 
 NAME = "imitation"
@@ -66,11 +66,10 @@ def _warm_up(policy: Policy) -> Policy:
     frames = {each.name: np.zeros((1, each.height, each.width, each.channels), np.uint8) for each in spec.cameras}
     goals: dict[str, Any] = {"images": frames, "recipe": spec.skills[:1], "text": ("",)}
     recurrent = np.zeros((1, spec.recurrent_size), np.float32)
-    inputs = (frames, policy.encode_goals(goals[spec.goal_form]), spec.action.no_action()[None], recurrent)
-    if takes_robot_state(policy):
-        policy.step(*inputs, np.zeros((1, spec.robot_state_size), np.float32))
-    else:
-        policy.step(*inputs)
+    robot_state = np.zeros((1, spec.robot_state_size), np.float32) if spec.robot_state_size else None
+    policy.step(
+        frames, policy.encode_goals(goals[spec.goal_form]), spec.action.no_action()[None], recurrent, robot_state
+    )
     return policy
 
 

@@ -18,14 +18,7 @@ from freerein.errors import OutputNotFinite, ServiceError
 from freerein.types.imitation import Done, DoneBy
 from freerein_imitation.core.inputs import Subgoal
 from freerein_imitation.core.policy_state import PolicyState
-from freerein_imitation.model.policy import (
-    CameraFrames,
-    Policy,
-    PolicyOutput,
-    RememberingPolicy,
-    TimedPolicy,
-    takes_robot_state,
-)
+from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput
 
 _CACHE_BYTES = 32 * 2**20
 _ENTRY_BYTES = 500  # upper bound of Python's overhead per entry of the cache
@@ -131,17 +124,14 @@ class PolicyRunner:
     def _forward(self, requests: Sequence[InferenceRequest]) -> list[_Row | OutputNotFinite]:
         """Returns the policy's output for each request's observation and current goal."""
         policy = requests[0].policy
-        inputs = (
+        robot_states = [request.robot_state for request in requests if request.robot_state is not None]
+        output = policy.step(
             _stack_frames([request.frames for request in requests]),
             self._encode_goals(requests),
             _stack([request.previous for request in requests]),
             _recurrent_states(requests),
+            _stack(robot_states) if robot_states else None,
         )
-        if takes_robot_state(policy):
-            states = [request.robot_state for request in requests if request.robot_state is not None]
-            output = policy.step(*inputs, _stack(states))
-        else:
-            output = policy.step(*inputs)
         _check_shapes(policy, output, len(requests))
         finite = _finite(output)
         return [
@@ -173,9 +163,7 @@ def _recurrent_states(requests: Sequence[InferenceRequest]) -> npt.NDArray[np.fl
     """Returns the recurrent states just before the requests' observations, (B, R)."""
     policy, recurrent = requests[0].policy, _stack([request.state.recurrent for request in requests])
     unobserved = np.array([max(request.elapsed - 1, 0) for request in requests], np.int64)
-    return (
-        policy.skip_steps(recurrent, unobserved) if unobserved.any() and isinstance(policy, TimedPolicy) else recurrent
-    )
+    return policy.skip_steps(recurrent, unobserved) if unobserved.any() else recurrent
 
 
 def _stack(arrays: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
@@ -230,13 +218,9 @@ def _advance(request: InferenceRequest, row: _Row | OutputNotFinite) -> PolicySt
     reached = row.reached >= request.policy.spec.reached_threshold
     if reached or steps >= request.max_steps:
         abandoned = state.abandoned or not reached
-        return PolicyState(_without_goal(request.policy, state.recurrent), state.goal_index + 1, 0, abandoned)
+        recurrent = request.policy.reset_goal_state(state.recurrent[None])[0]
+        return PolicyState(recurrent, state.goal_index + 1, 0, abandoned)
     return PolicyState(row.recurrent, state.goal_index, steps, state.abandoned)
-
-
-def _without_goal(policy: Policy, recurrent: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Returns what a recurrent state, (R,), leaves to the next goal."""
-    return policy.forget_goal(recurrent[None])[0] if isinstance(policy, RememberingPolicy) else np.zeros_like(recurrent)
 
 
 def _starts_next_goal(request: InferenceRequest, state: PolicyState) -> bool:

@@ -19,5 +19,5 @@ METHODS: Methods[Policy] = Methods(
             "inverse_model": inverse_model.METHOD,
         }
     ),
-    made_elsewhere=MappingProxyType({ppo.METHOD: ppo.PPOPolicy.load}),
+    made_elsewhere=MappingProxyType({ppo.METHOD: ppo.load}),
 )

@@ -1,18 +1,17 @@
 """Goal-conditioned behavioural cloning, for goal images."""
 
-from pathlib import Path
 from typing import Any
 
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.learning import model_files
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
 from freerein_imitation.model.goal_cloning import GoalCloningNetwork, GoalCloningPolicy, GoalCloningSpec
 from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.torch_policy import loader
 from freerein_imitation.training.goal_cloning import GoalCloningConfig, GoalCloningLearner
 
 _REACHED_THRESHOLD = 0.4
@@ -41,11 +40,6 @@ def _card(source: FitDataset, learner: GoalCloningLearner, fitted: FitResult[Goa
     }
 
 
-def _load(folder: Path, device: str) -> GoalCloningPolicy:
-    network = model_files.load_model(folder, GoalCloningSpec, GoalCloningNetwork, device=device)
-    return GoalCloningPolicy(network, ControlSpec.from_card(model_files.read_card(folder)))
-
-
 def _spec(source: FitDataset, config: GoalCloningConfig) -> GoalCloningSpec:
     cameras, action = source.cameras(config.cameras), source.dataset.spec.action
     if action.absolute:
@@ -57,4 +51,5 @@ def _spec(source: FitDataset, config: GoalCloningConfig) -> GoalCloningSpec:
     return spec_of(config, GoalCloningSpec, cameras=cameras, action=action)
 
 
+_load = loader(GoalCloningPolicy, GoalCloningSpec, GoalCloningNetwork)
 METHOD = Method(GoalCloningConfig, _spec, _prepare, _card, _load)

@@ -5,7 +5,6 @@ place of x_{t+1}. It has no recurrence, no previous action and no forward consis
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -13,7 +12,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from freerein.config import bounded
-from freerein.learning import model_files
 from freerein.learning.encoders import ENCODERS, CameraEncoders
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
@@ -23,7 +21,7 @@ from freerein_imitation import objectives
 from freerein_imitation.methods import goal_images
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.goal_images import GoalImagesNetwork, GoalImagesPolicy, GoalImagesSpec
-from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.torch_policy import loader
 from freerein_imitation.training.goal_images import GoalImagesConfig, GoalImagesLearner
 from freerein_imitation.training.goal_relabelling import RelabelledSlices
 
@@ -98,14 +96,10 @@ def _card(source: FitDataset, learner: InverseModelLearner, fitted: FitResult[In
     return goal_images.card(source, learner, fitted, max_steps_per_goal=2 * learner.config.far_steps)
 
 
-def _load(folder: Path, device: str) -> GoalImagesPolicy:
-    network = model_files.load_model(folder, GoalImagesSpec, InverseModelNetwork, device=device)
-    return GoalImagesPolicy(network, ControlSpec.from_card(model_files.read_card(folder)))
-
-
 def _spec(source: FitDataset, config: InverseModelConfig) -> GoalImagesSpec:
     cameras, action = source.cameras(config.cameras), source.dataset.spec.action
     return spec_of(config, GoalImagesSpec, cameras=cameras, action=action)
 
 
+_load = loader(GoalImagesPolicy, GoalImagesSpec, InverseModelNetwork)
 METHOD = Method(InverseModelConfig, _spec, _prepare, _card, _load)

@@ -13,6 +13,7 @@ from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.skill_cloning import SkillCloningNetwork, SkillCloningPolicy, SkillCloningSpec
+from freerein_imitation.model.torch_policy import loader
 from freerein_imitation.training.skill_cloning import SkillCloningLearner
 from freerein_imitation.training.skill_cloning_config import SkillCloningConfig, network_spec
 from freerein_imitation.training.skill_spans import RobotStates
@@ -72,4 +73,5 @@ def _spec(source: FitDataset, config: SkillCloningConfig) -> SkillCloningSpec:
     )
 
 
-METHOD = Method(SkillCloningConfig, _spec, _prepare, _card, SkillCloningPolicy.load)
+_load = loader(SkillCloningPolicy, SkillCloningSpec, SkillCloningNetwork)
+METHOD = Method(SkillCloningConfig, _spec, _prepare, _card, _load)

@@ -13,6 +13,7 @@ from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.skills import GRIPPER, SkillsNetwork, SkillsPolicy, SkillsSpec
+from freerein_imitation.model.torch_policy import loader
 from freerein_imitation.training.skills import TERMINATION_THRESHOLD, SkillsConfig, SkillsLearner
 
 
@@ -65,4 +66,5 @@ def _spec(source: FitDataset, config: SkillsConfig) -> SkillsSpec:
     )
 
 
-METHOD = Method(SkillsConfig, _spec, _prepare, _card, SkillsPolicy.load)
+_load = loader(SkillsPolicy, SkillsSpec, SkillsNetwork)
+METHOD = Method(SkillsConfig, _spec, _prepare, _card, _load)

@@ -6,22 +6,22 @@ learning", 2021, in a single iteration).
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from freerein.config import bounded, one_of
-from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
-from freerein.learning.image_statistics import image_statistics, statistics_size
+from freerein.learning.encoders import ENCODERS, CameraEncoders
+from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.odometry_recognizer import OdometryRecognizer
 from freerein_imitation.model.perceptron import perceptron
-from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy, confidence
+from freerein_imitation.model.policy import CameraFrames, ControlSpec
+from freerein_imitation.model.torch_policy import PolicyNetwork, StepInputs, StepOutputs, TorchPolicy, confidence
 
 _DEPTH = 3
 _GOAL_CONTRAST, _MOTION_CONTRAST = 2.0, 4.0  # of differences of features
@@ -47,8 +47,10 @@ class GoalCloningSpec(InputSpec):
         return self.action.choices or action_bins.BINS
 
 
-class GoalCloningNetwork(nn.Module):
+class GoalCloningNetwork(PolicyNetwork):
     """Encoder, policy and goal recognizer."""
+
+    spec: GoalCloningSpec
 
     def __init__(self, spec: GoalCloningSpec) -> None:
         super().__init__()
@@ -88,39 +90,21 @@ class GoalCloningPolicy(TorchPolicy[GoalCloningNetwork]):
     """
 
     def __init__(self, network: GoalCloningNetwork, control: ControlSpec) -> None:
-        super().__init__(network, network.spec, control, goal_form="images", recurrent_size=network.encoder.size)
+        super().__init__(network, control, goal_form="images", recurrent_size=network.encoder.size)
 
-    @torch.inference_mode()
     def encode_goals(self, goals: CameraFrames) -> npt.NDArray[np.float32]:
         """Returns features of goal images, float32 (N, D), by camera, uint8 (N, H, W, C)."""
-        return self._encode_images(self._encode, goals)
+        return self._encode_images(self._network.encoder, goals)
 
     def skip_steps(self, recurrent: npt.NDArray[np.float32], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
-        """Returns recurrent states after control steps without an observation; see `TimedPolicy`."""
+        """Returns recurrent states after control steps without an observation; see `Policy`."""
         later: npt.NDArray[np.float32] = recurrent * (steps == 0)[:, None]
         return later
 
-    @torch.inference_mode()
-    def step(
-        self,
-        frames: CameraFrames,
-        goals: npt.NDArray[np.float32],
-        previous: npt.NDArray[Any],
-        recurrent: npt.NDArray[np.float32],
-    ) -> PolicyOutput:
-        """Returns the output for B observations; arguments as in `Policy.step`."""
-        seen, goal, last = self._tensors(frames), self._tensor(goals), self._tensor(recurrent)
-        features, score = self._encode(seen), self._network.in_distribution
+    def _step(self, inputs: StepInputs) -> StepOutputs:
+        features, last = self._network.encoder(inputs.frames), inputs.recurrent
         before = torch.where((last != 0).any(dim=1, keepdim=True), last, features)
-        logits = self._network(features, goal, before, self._tensor(previous))
-        reached = self._network.recognizer(features, goal)
-        return PolicyOutput(
-            actions=action_bins.decode(logits, choices=self.spec.action.choices)[:, None].cpu().numpy(),
-            reached=reached.cpu().numpy(),
-            recurrent=features.cpu().numpy(),
-            in_distribution=score(score.distance(image_statistics(seen)), confidence(reached)).cpu().numpy(),
-        )
-
-    def _encode(self, frames: FrameTensors) -> Tensor:
-        features: Tensor = self._network.encoder(frames)
-        return features
+        logits = self._network(features, inputs.goals, before, inputs.previous)
+        reached = self._network.recognizer(features, inputs.goals)
+        actions = action_bins.decode(logits, choices=self.spec.action.choices)[:, None]
+        return StepOutputs(actions, reached, features, confidence(reached))

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import torch
 from torch import Tensor, nn
@@ -11,7 +11,9 @@ from torch.nn import functional
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.goal_images import GoalImagesNetwork, GoalImagesSpec
-from freerein_imitation.model.policy import LSTMState, flat_lstm_state, lstm_state
+
+LSTMState: TypeAlias = tuple[Tensor, Tensor]
+"""Hidden state and cell, float32 (1, B, units) each."""
 
 _FORWARD_HIDDEN = 256
 _PIXELS_SIDE = 16
@@ -75,8 +77,9 @@ class SkillPolicyNetwork(nn.Module):
 
     def step(self, features: Tensor, goal: Tensor, previous: Tensor, recurrent: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the logits of one action, and the next recurrent states; see `ActionNetwork.step`."""
-        logits, state = self(features[:, None], goal, previous[:, None], lstm_state(recurrent))
-        return logits, flat_lstm_state(state)
+        hidden, cell = (each.contiguous() for each in recurrent[None].chunk(2, dim=2))
+        logits, state = self(features[:, None], goal, previous[:, None], (hidden, cell))
+        return logits, torch.cat(state, dim=2)[0]
 
     def _previous(self, previous: Tensor) -> Tensor:
         if self.spec.action.choices:

@@ -1,7 +1,7 @@
 """Policies that follow goal images: what their networks share, the goal recognizer, and how they act."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -11,11 +11,12 @@ from torch import Tensor, nn
 from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
-from freerein.learning.image_statistics import image_statistics, statistics_size
+from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model import action_bins
-from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy, confidence
+from freerein_imitation.model.policy import CameraFrames, ControlSpec
+from freerein_imitation.model.torch_policy import PolicyNetwork, StepInputs, StepOutputs, TorchPolicy, confidence
 
 _MAX_LOGIT = 5.0  # the recognizer's, of two equal images
 
@@ -77,13 +78,15 @@ class ActionNetwork(Protocol):
         """
 
 
-class GoalImagesNetwork(nn.Module):
+class GoalImagesNetwork(PolicyNetwork):
     """Base of the networks: an action network and a goal recognizer, which share no weights.
 
     Args:
         spec: Inputs, outputs and sizes.
         policy: Chooses actions.
     """
+
+    spec: GoalImagesSpec
 
     def __init__(self, spec: GoalImagesSpec, policy: ActionNetwork) -> None:
         super().__init__()
@@ -134,33 +137,19 @@ class GoalImagesPolicy(TorchPolicy[GoalImagesNetwork]):
 
     def __init__(self, network: GoalImagesNetwork, control: ControlSpec) -> None:
         size = network.policy.recurrent_size
-        super().__init__(network, network.spec, control, goal_form="images", recurrent_size=size)
+        super().__init__(network, control, goal_form="images", recurrent_size=size)
 
-    @torch.inference_mode()
     def encode_goals(self, goals: CameraFrames) -> npt.NDArray[np.float32]:
         """Returns goal embeddings, float32 (N, G), of goal images by camera, uint8 (N, H, W, C)."""
         return self._encode_images(self._encode, goals)
 
-    @torch.inference_mode()
-    def step(
-        self,
-        frames: CameraFrames,
-        goals: npt.NDArray[np.float32],
-        previous: npt.NDArray[Any],
-        recurrent: npt.NDArray[np.float32],
-    ) -> PolicyOutput:
-        """Returns the output for B observations; arguments as in `Policy.step`."""
-        policy, score = self._network.policy, self._network.in_distribution
-        seen, goal, size = self._tensors(frames), self._tensor(goals), policy.encoder.size
-        codes = self._encode(seen)
-        logits, state = policy.step(codes[:, :size], goal[:, :size], self._tensor(previous), self._tensor(recurrent))
+    def _step(self, inputs: StepInputs) -> StepOutputs:
+        policy, codes, goal = self._network.policy, self._encode(inputs.frames), inputs.goals
+        size = policy.encoder.size
+        logits, state = policy.step(codes[:, :size], goal[:, :size], inputs.previous, inputs.recurrent)
         reached = proximity_logit(codes[:, size:], goal[:, size:]).sigmoid()
-        return PolicyOutput(
-            actions=action_bins.decode(logits, choices=self.spec.action.choices).cpu().numpy(),
-            reached=reached.cpu().numpy(),
-            recurrent=state.cpu().numpy(),
-            in_distribution=score(score.distance(image_statistics(seen)), confidence(reached)).cpu().numpy(),
-        )
+        actions = action_bins.decode(logits, choices=self.spec.action.choices)
+        return StepOutputs(actions, reached, state, confidence(reached))
 
     def _encode(self, frames: FrameTensors) -> Tensor:
         """Returns the policy's features beside the recognizer's embedding, float32 (N, G)."""

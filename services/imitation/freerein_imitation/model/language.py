@@ -23,12 +23,13 @@ from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.checkpoints import JSON
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
-from freerein.learning.image_statistics import image_statistics, statistics_size
+from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model.goal_text_reader import GoalTextReader
-from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy
+from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.text_encoder import TextEncoder
+from freerein_imitation.model.torch_policy import PolicyNetwork, StepInputs, StepOutputs, TorchPolicy
 
 MAX_COMPONENTS = 64
 MAX_KNOWN_TEXTS = 10_000
@@ -62,7 +63,7 @@ class LanguageSpec(InputSpec):
     hidden_size: int = bounded(128, least=8, most=1024)
 
 
-class LanguageNetwork(nn.Module):
+class LanguageNetwork(PolicyNetwork):
     """pi(a_t | x_t, text): image features modulated by the text (FiLM), two hidden layers, action head.
 
     Args:
@@ -72,6 +73,7 @@ class LanguageNetwork(nn.Module):
         reader: Reads goal texts; trained before, on text alone.
     """
 
+    spec: LanguageSpec
     text_mean: Tensor
     text_basis: Tensor
     known_texts: Tensor
@@ -192,7 +194,7 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
                 hint="Fit the model again, or restore its folder from a copy.",
             )
         super().__init__(
-            network, spec, control, goal_form="text", training_texts=tuple(training_texts), predicts_reached=False
+            network, control, goal_form="text", training_texts=tuple(training_texts), predicts_reached=False
         )
         self.spec.known_texts.read("")  # reads thousands of training texts here, and not on the event loop
         self._text_encoder = text_encoder
@@ -214,26 +216,11 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
         """Returns the codes of texts, float32 (N, code size); each is independent of the others."""
         return torch.stack([self._reader.encode(goal, self._text_encoder) for goal in goals]).numpy()
 
-    @torch.inference_mode()
-    def step(
-        self,
-        frames: CameraFrames,
-        goals: npt.NDArray[np.float32],
-        previous: npt.NDArray[Any],
-        recurrent: npt.NDArray[np.float32],
-    ) -> PolicyOutput:
-        """Returns the output for B observations; arguments as in `Policy.step`. `previous` is not used."""
-        seen, score = self._tensors(frames), self._network.in_distribution
-        texts = self._tensor(goals)
-        actions = self._network.act(self._network.encoder(seen), texts)
+    def _step(self, inputs: StepInputs) -> StepOutputs:
+        actions = self._network(inputs.frames, inputs.goals)
         chosen = actions.argmax(dim=2) if self.spec.action.choices else actions.clamp(-1, 1)  # (B, A)
-        distance = score.distance(image_statistics(seen))
-        return PolicyOutput(
-            actions=chosen[:, None].cpu().numpy(),
-            reached=np.zeros(len(previous), np.float32),
-            recurrent=recurrent,
-            in_distribution=score(distance, self._network.knows(texts).float()).cpu().numpy(),
-        )
+        familiar = self._network.knows(inputs.goals).float()
+        return StepOutputs(chosen[:, None], torch.zeros_like(familiar), inputs.recurrent, familiar)
 
 
 def text_encoder_entry(name: str, data: bytes) -> dict[str, JSON]:

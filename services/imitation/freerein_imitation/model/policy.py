@@ -1,21 +1,18 @@
-"""What all policies share: the spec that `GetSpec` returns, one step's output, and the base of the torch policies."""
+"""What the service asks of a policy: the spec that `GetSpec` returns, and one step."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any, Generic, Protocol, Self, TypeAlias, TypeGuard, TypeVar, runtime_checkable
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import Tensor, nn
 
 from freerein.config import parse
 from freerein.errors import InvalidInput
 from freerein.learning.checkpoints import JSON
-from freerein.learning.encoders import FrameTensors
-from freerein.learning.inputs import InputSpec
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.imitation import GoalForm
 from freerein_imitation.model.known_texts import KnownTexts
@@ -23,14 +20,10 @@ from freerein_imitation.model.known_texts import KnownTexts
 CameraFrames: TypeAlias = Mapping[str, npt.NDArray[np.uint8]]
 """By camera: uint8 (N, H, W, C), or (H, W, C) of one timestep."""
 
-LSTMState: TypeAlias = tuple[Tensor, Tensor]
-"""Hidden state and cell, float32 (1, B, units) each."""
-
 NEVER_REACHED = 1.0
 """Threshold of a policy that does not predict that a goal is reached; its probability is always 0."""
 
 _CARD_KEY = "control"
-_ENCODE_BATCH = 256
 _RESTORE = "Fit the model again, or restore its folder from a copy."
 
 
@@ -148,59 +141,20 @@ class PolicyOutput:
     in_distribution: npt.NDArray[np.float32]
 
 
-class Policy(Protocol):
-    """A trained policy: numpy in, numpy out."""
+class Policy(ABC):
+    """A trained policy: numpy in, numpy out.
 
-    @property
-    def spec(self) -> PolicySpec:
-        """Inputs, outputs and limits."""
+    Attributes:
+        spec: Inputs, outputs and limits.
+    """
 
+    spec: PolicySpec
+
+    @abstractmethod
     def encode_goals(self, goals: Any) -> npt.NDArray[np.float32]:
         """Returns goal embeddings, float32 (N, G), of goal images (`CameraFrames`), or of skill names or texts."""
 
-    def step(
-        self,
-        frames: CameraFrames,
-        goals: npt.NDArray[np.float32],
-        previous: npt.NDArray[Any],
-        recurrent: npt.NDArray[np.float32],
-    ) -> PolicyOutput:
-        """Returns actions, the probability that the goal is reached, and the in-distribution score.
-
-        Args:
-            frames: By camera, uint8 (B, H, W, C).
-            goals: Goal embeddings, float32 (B, G).
-            previous: Actions executed last, float32 (B, A) or int64 (B, 1); `ActionSpec.no_action` for none.
-            recurrent: Recurrent state, float32 (B, R); zeros at the start of a goal.
-        """
-
-
-@runtime_checkable
-class TimedPolicy(Protocol):
-    """A policy whose recurrent state depends on how many control steps there are between two observations."""
-
-    def skip_steps(self, recurrent: npt.NDArray[np.float32], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
-        """Returns recurrent states after control steps without an observation, float32 (B, R).
-
-        `Policy.step` takes its observations for those of consecutive control steps.
-
-        Args:
-            recurrent: Recurrent states, float32 (B, R).
-            steps: Control steps without an observation, int64 (B,); with 0 a state stays as it is.
-        """
-
-
-@runtime_checkable
-class RememberingPolicy(Protocol):
-    """A policy whose recurrent state tells of the robot, too, and outlasts a goal; that of others begins with zeros."""
-
-    def forget_goal(self, recurrent: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Returns recurrent states, float32 (B, R), without what was of the goal: what the next one begins with."""
-
-
-class RobotStatePolicy(Policy, Protocol):
-    """A policy that also takes the robot's own state."""
-
+    @abstractmethod
     def step(
         self,
         frames: CameraFrames,
@@ -209,86 +163,27 @@ class RobotStatePolicy(Policy, Protocol):
         recurrent: npt.NDArray[np.float32],
         robot_state: npt.NDArray[np.float32] | None = None,
     ) -> PolicyOutput:
-        """Returns the output for B observations.
+        """Returns actions, the probability that the goal is reached, and the in-distribution score.
 
-        Arguments are as in `Policy.step`, and `robot_state`, float32 (B, S), which is needed where S is not 0.
+        Args:
+            frames: By camera, uint8 (B, H, W, C).
+            goals: Goal embeddings, float32 (B, G).
+            previous: Actions executed last, float32 (B, A) or int64 (B, 1); `ActionSpec.no_action` for none.
+            recurrent: Recurrent state, float32 (B, R); zeros at the start of a goal, but for `reset_goal_state`.
+            robot_state: The robot's own state, float32 (B, S); None where S is 0.
         """
 
+    def skip_steps(self, recurrent: npt.NDArray[np.float32], _steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+        """Returns recurrent states after control steps without an observation, float32 (B, R); by default as they are.
 
-def takes_robot_state(policy: Policy) -> TypeGuard[RobotStatePolicy]:
-    """Returns whether a policy takes the robot's own state."""
-    return policy.spec.robot_state_size > 0
+        `step` takes its observations for those of consecutive control steps.
 
+        Args:
+            recurrent: Recurrent states, float32 (B, R).
+            _steps: Control steps without an observation, int64 (B,); with 0 a state stays as it is.
+        """
+        return recurrent
 
-N = TypeVar("N", bound=nn.Module)
-
-
-class TorchPolicy(Generic[N]):
-    """Base of policies that are torch networks.
-
-    Args:
-        network: Trained; its device is where the policy computes.
-        inputs: The network's spec.
-        control: Rate and limits, as on the card.
-        goal_form: Form of its goals.
-        fields: Further fields of the policy's spec.
-
-    Attributes:
-        spec: Inputs, outputs and limits.
-    """
-
-    def __init__(
-        self, network: N, inputs: InputSpec, control: ControlSpec, *, goal_form: GoalForm, **fields: Any
-    ) -> None:
-        self.spec = PolicySpec(
-            **vars(control), cameras=inputs.cameras, action=inputs.action, goal_form=goal_form, **fields
-        )
-        self._network = network.eval()
-        self._device = next(network.parameters()).device
-
-    def _tensor(self, array: npt.NDArray[Any]) -> Tensor:
-        """Returns a copy on the network's device; arrays from the wire are read-only."""
-        return torch.tensor(array, device=self._device)
-
-    def _tensors(self, frames: CameraFrames) -> FrameTensors:
-        return {camera: self._tensor(each) for camera, each in frames.items()}
-
-    def _encode_images(self, encode: Callable[[FrameTensors], Tensor], images: CameraFrames) -> npt.NDArray[np.float32]:
-        """Returns the codes of images by camera, uint8 (N, H, W, C), some at a time: float32 (N, code size)."""
-        count = len(next(iter(images.values())))
-        batches = [slice(start, start + _ENCODE_BATCH) for start in range(0, count, _ENCODE_BATCH)]
-        parts = [encode(self._tensors({name: each[batch] for name, each in images.items()})) for batch in batches]
-        codes: npt.NDArray[np.float32] = torch.cat(parts).cpu().numpy()
-        return codes
-
-
-def confidence(reached: Tensor) -> Tensor:
-    """Returns the probability of the likelier of reached and not reached, float32 (N,), of that of reached (N,)."""
-    return torch.maximum(reached, 1 - reached)
-
-
-def one_hot_skills(skills: Sequence[str], names: Sequence[str]) -> npt.NDArray[np.float32]:
-    """Returns one-hot codes of skill names, float32 (N, skills).
-
-    Raises:
-        InvalidInput: A name is not among `skills`.
-    """
-    unknown = sum(name not in skills for name in names)
-    if unknown:
-        raise InvalidInput(
-            f"Skills must be among {', '.join(skills)}; {unknown} of {len(names)} are not.",
-            field="goal",
-            hint="GetSpec lists a model's skills.",
-        )
-    return np.eye(len(skills), dtype=np.float32)[[skills.index(name) for name in names]]
-
-
-def lstm_state(recurrent: Tensor) -> LSTMState:
-    """Returns hidden state and cell of recurrent states, float32 (B, R), R twice the units."""
-    hidden, cell = recurrent[None].chunk(2, dim=2)
-    return hidden.contiguous(), cell.contiguous()
-
-
-def flat_lstm_state(state: LSTMState) -> Tensor:
-    """Returns an LSTM's hidden state and cell as recurrent states, float32 (B, R)."""
-    return torch.cat(state, dim=2)[0]
+    def reset_goal_state(self, recurrent: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Returns recurrent states, float32 (B, R), for the start of the next goal; by default zeros."""
+        return np.zeros_like(recurrent)

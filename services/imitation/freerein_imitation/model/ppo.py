@@ -1,21 +1,19 @@
 """Policies of ppo runs, as they were trained: one goal each, given by its text."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from freerein.errors import InvalidInput
-from freerein.learning import model_files
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
-from freerein.learning.image_statistics import image_statistics, statistics_size
+from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
-from freerein_imitation.model.policy import CameraFrames, ControlSpec, PolicyOutput, TorchPolicy
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.torch_policy import PolicyNetwork, StepInputs, StepOutputs, TorchPolicy, loader
 
 METHOD = "ppo"
 
@@ -45,8 +43,10 @@ class PPOPolicySpec(InputSpec):
             raise InvalidInput("The network of a ppo policy must have the actions of its task; this one has others.")
 
 
-class PPOPolicyNetwork(nn.Module):
-    """The trained network, and the score of how familiar frames are to it."""
+class PPOPolicyNetwork(PolicyNetwork):
+    """The trained network, and its in-distribution score."""
+
+    spec: PPOPolicySpec
 
     def __init__(self, spec: PPOPolicySpec) -> None:
         super().__init__()
@@ -70,7 +70,6 @@ class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):
         size = spec.network.recurrent_size + spec.action.size + 1
         super().__init__(
             network,
-            spec,
             control,
             goal_form="text",
             goal_texts=(spec.goal_text,),
@@ -78,22 +77,12 @@ class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):
             predicts_reached=False,
         )
 
-    @classmethod
-    def load(cls, folder: Path, device: str) -> "PPOPolicy":
-        """Returns the policy in a folder; see `freerein.learning.methods.Methods`.
-
-        Raises:
-            InvalidInput: A file is missing or malformed.
-        """
-        network = model_files.load_model(folder, PPOPolicySpec, PPOPolicyNetwork, device=device)
-        return cls(network, ControlSpec.from_card(model_files.read_card(folder)))
-
     def encode_goals(self, goals: tuple[str, ...]) -> npt.NDArray[np.float32]:
         """Returns nothing of goals, float32 (N, 0): there is only one."""
         return np.zeros((len(goals), 0), np.float32)
 
     def skip_steps(self, recurrent: npt.NDArray[np.float32], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
-        """Returns recurrent states after control steps without an observation; see `TimedPolicy`.
+        """Returns recurrent states after control steps without an observation; see `Policy`.
 
         The action was held meanwhile. Where that was as long as in training, or longer, the next one is due.
         """
@@ -101,30 +90,17 @@ class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):
         later = np.where(held == 0, held, np.minimum(held + steps[:, None], repeat) % repeat)
         return np.concatenate([recurrent[:, :-1], later.astype(np.float32)], axis=1)
 
-    @torch.inference_mode()
-    def step(
-        self,
-        frames: CameraFrames,
-        goals: npt.NDArray[np.float32],
-        previous: npt.NDArray[Any],
-        recurrent: npt.NDArray[np.float32],
-    ) -> PolicyOutput:
-        """Returns the output for B observations; arguments as in `Policy.step`. `goals` is not used."""
-        spec, score = self._network.spec, self._network.in_distribution
-        seen = self._tensors(frames)
+    def _step(self, inputs: StepInputs) -> StepOutputs:
+        spec = self._network.spec
         sizes = [spec.network.recurrent_size, spec.action.size, 1]
-        memory, holding, held = torch.split(self._tensor(recurrent), sizes, dim=1)  # (B, R), (B, A), (B, 1)
-        actions, after = self._choose(next(iter(seen.values())), self._tensor(previous), memory)
+        memory, holding, held = torch.split(inputs.recurrent, sizes, dim=1)  # (B, R), (B, A), (B, 1)
+        actions, after = self._choose(next(iter(inputs.frames.values())), inputs.previous, memory)
         is_due = held == 0  # (B, 1)
         actions, after = torch.where(is_due, actions, holding), torch.where(is_due, after, memory)
         state = torch.cat([after, actions, (held + 1) % spec.network.action_repeat], dim=1)
-        familiarity = score.distance(image_statistics(seen))
-        return PolicyOutput(
-            actions=actions[:, None].to(_dtype(spec)).cpu().numpy(),
-            reached=np.zeros(len(previous), np.float32),
-            recurrent=state.cpu().numpy(),
-            in_distribution=score(familiarity, torch.ones_like(familiarity)).cpu().numpy(),
-        )
+        chosen = actions[:, None].to(torch.int64 if spec.action.choices else torch.float32)
+        never = torch.zeros(len(actions), device=self._device)
+        return StepOutputs(chosen, never, state, torch.ones_like(never))
 
     def _choose(self, frames: Tensor, previous: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the most likely actions, float32 (B, A), and the LSTM's state after them, float32 (B, R)."""
@@ -135,5 +111,4 @@ class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):
         return outputs.actions.mode()[0].float().clamp(*self.spec.action.bounds), outputs.recurrent_state
 
 
-def _dtype(spec: PPOPolicySpec) -> torch.dtype:
-    return torch.int64 if spec.action.choices else torch.float32
+load = loader(PPOPolicy, PPOPolicySpec, PPOPolicyNetwork)

@@ -8,8 +8,7 @@ The dissertation's policies see images alone. For a user's robot, its own state 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,21 +18,21 @@ from torch.nn import functional
 
 from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
-from freerein.learning import model_files
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
-from freerein.learning.image_statistics import image_statistics, statistics_size
+from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model import action_bins
-from freerein_imitation.model.policy import (
-    CameraFrames,
-    ControlSpec,
-    PolicyOutput,
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.skill_memory import Memory, MemorySizes
+from freerein_imitation.model.torch_policy import (
+    PolicyNetwork,
+    StepInputs,
+    StepOutputs,
     TorchPolicy,
     confidence,
     one_hot_skills,
 )
-from freerein_imitation.model.skill_memory import Memory, MemorySizes
 
 _DEPTH = 3
 _MOTION_CONTRAST = 4.0  # of differences of features
@@ -90,9 +89,10 @@ class SkillCloningSpec(InputSpec):
         return MemorySizes(self.memory, features, self.past_actions, size, self.chunk, outputs=size)
 
 
-class SkillCloningNetwork(nn.Module):
+class SkillCloningNetwork(PolicyNetwork):
     """Encoder, hidden layers that the skill scales and shifts (FiLM; Perez et al., 2018), heads for chunk and end."""
 
+    spec: SkillCloningSpec
     action_mean: Tensor
     action_std: Tensor
     robot_state_mean: Tensor
@@ -214,7 +214,6 @@ class SkillCloningPolicy(TorchPolicy[SkillCloningNetwork]):
         self._sizes = spec.memory_sizes
         super().__init__(
             network,
-            spec,
             control,
             goal_form="recipe",
             horizon=spec.chunk,
@@ -224,57 +223,35 @@ class SkillCloningPolicy(TorchPolicy[SkillCloningNetwork]):
             predicts_reached=spec.ends == "head",
         )
 
-    @classmethod
-    def load(cls, folder: Path, device: str) -> "SkillCloningPolicy":
-        """Returns the policy in a folder; see `freerein.learning.methods.Method`."""
-        network = model_files.load_model(folder, SkillCloningSpec, SkillCloningNetwork, device=device)
-        return cls(network, ControlSpec.from_card(model_files.read_card(folder)))
-
     def encode_goals(self, goals: Sequence[str]) -> npt.NDArray[np.float32]:
         """Returns one-hot codes of skill names, float32 (N, skills); see `one_hot_skills`."""
         return one_hot_skills(self.spec.skills, goals)
 
     @torch.inference_mode()
     def skip_steps(self, recurrent: npt.NDArray[np.float32], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
-        """Returns recurrent states after control steps without an observation; see `TimedPolicy` and `Memory`."""
+        """Returns recurrent states after control steps without an observation; see `Memory`."""
         no_action = self._network.encode_actions(self._tensor(self.spec.action.no_action()))
         memory = Memory.parse(self._tensor(recurrent), self._sizes)
         later: npt.NDArray[np.float32] = memory.skipped(self._tensor(steps), no_action=no_action).flat().cpu().numpy()
         return later
 
     @torch.inference_mode()
-    def forget_goal(self, recurrent: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Returns recurrent states with frames and actions alone; see `RememberingPolicy` and `Memory`."""
+    def reset_goal_state(self, recurrent: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Returns recurrent states with frames and actions alone; see `Memory`."""
         kept: npt.NDArray[np.float32] = (
             Memory.parse(self._tensor(recurrent), self._sizes).without_skill().flat().cpu().numpy()
         )
         return kept
 
-    @torch.inference_mode()
-    def step(
-        self,
-        frames: CameraFrames,
-        goals: npt.NDArray[np.float32],
-        previous: npt.NDArray[Any],
-        recurrent: npt.NDArray[np.float32],
-        robot_state: npt.NDArray[np.float32] | None = None,
-    ) -> PolicyOutput:
-        """Returns the output for B observations; arguments as in `RobotStatePolicy.step`."""
-        network, seen, skill = self._network, self._tensors(frames), self._tensor(goals)
-        executed = network.encode_actions(self._tensor(previous))
-        memory = Memory.parse(self._tensor(recurrent), self._sizes).with_action(executed)
-        felt = None if robot_state is None else self._tensor(robot_state)
-        features = network.encode(seen, felt)
+    def _step(self, inputs: StepInputs) -> StepOutputs:
+        network, skill, felt = self._network, inputs.goals, inputs.robot_state
+        memory = Memory.parse(inputs.recurrent, self._sizes).with_action(network.encode_actions(inputs.previous))
+        features = network.encode(inputs.frames, felt)
         chunk, termination = network(features, skill, memory.features, memory.rates, memory.actions)
-        ended, score = termination.sigmoid(), network.in_distribution
-        familiarity = score(score.distance(image_statistics(seen)), network.confidence(ended, felt))
+        ended = termination.sigmoid()
         later, averaged = memory.advanced(features, skill.argmax(dim=1), self._predicted(chunk), ended)
-        return PolicyOutput(
-            actions=self._actions(averaged).cpu().numpy(),
-            reached=(later.ended if self.spec.predicts_reached else torch.zeros_like(ended)).cpu().numpy(),
-            recurrent=later.flat().cpu().numpy(),
-            in_distribution=familiarity.cpu().numpy(),
-        )
+        reached = later.ended if self.spec.predicts_reached else torch.zeros_like(ended)
+        return StepOutputs(self._actions(averaged), reached, later.flat(), network.confidence(ended, felt))
 
     def _predicted(self, chunk: Tensor) -> Tensor:
         """Returns what is averaged over predictions: actions, or probabilities of choices; float32 (B, K, O)."""

@@ -6,8 +6,6 @@ policy moves to the next waypoint of demonstrations, and not as they moved at ea
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,16 +15,16 @@ from torch.nn import functional
 
 from freerein.config import bounded
 from freerein.errors import InvalidInput
-from freerein.learning import model_files
 from freerein.learning.encoders import FrameTensors
-from freerein.learning.image_statistics import image_statistics, statistics_size
+from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model.keypoints import Hand, ReluLinear, SkillHeatMaps
-from freerein_imitation.model.policy import (
-    CameraFrames,
-    ControlSpec,
-    PolicyOutput,
+from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.torch_policy import (
+    PolicyNetwork,
+    StepInputs,
+    StepOutputs,
     TorchPolicy,
     confidence,
     one_hot_skills,
@@ -82,7 +80,7 @@ class SkillsSpec(InputSpec):
         return tuple(GRIPPER in name.lower() for name in names)
 
 
-class SkillsNetwork(nn.Module):
+class SkillsNetwork(PolicyNetwork):
     """Hand keypoint, heat maps of a skill, and the next waypoint given both.
 
     Args:
@@ -93,6 +91,7 @@ class SkillsNetwork(nn.Module):
         maps: Places of the object, and where the skill will put it.
     """
 
+    spec: SkillsSpec
     mean_image: Tensor
     pixel_std: Tensor
     speed: Tensor
@@ -181,39 +180,18 @@ class SkillsPolicy(TorchPolicy[SkillsNetwork]):
 
     def __init__(self, network: SkillsNetwork, control: ControlSpec) -> None:
         spec = network.spec
-        super().__init__(network, spec, control, goal_form="recipe", skills=spec.skills, recurrent_size=_STATE)
-
-    @classmethod
-    def load(cls, folder: Path, device: str) -> "SkillsPolicy":
-        """Returns the policy in a folder; see `freerein.learning.methods.Method`."""
-        network = model_files.load_model(folder, SkillsSpec, SkillsNetwork, device=device)
-        return cls(network, ControlSpec.from_card(model_files.read_card(folder)))
+        super().__init__(network, control, goal_form="recipe", skills=spec.skills, recurrent_size=_STATE)
 
     def encode_goals(self, goals: Sequence[str]) -> npt.NDArray[np.float32]:
         """Returns one-hot codes of skill names, float32 (N, skills); see `one_hot_skills`."""
         return one_hot_skills(self.spec.skills, goals)
 
-    @torch.inference_mode()
-    def step(
-        self,
-        frames: CameraFrames,
-        goals: npt.NDArray[np.float32],
-        previous: npt.NDArray[Any],
-        recurrent: npt.NDArray[np.float32],
-    ) -> PolicyOutput:
-        """Returns the output for B observations; arguments as in `Policy.step`."""
-        network, seen, state = self._network, self._tensors(frames), self._tensor(recurrent)
-        pixels = network.pixels(seen)
-        targets, places = network.maps(pixels, self._tensor(goals))
+    def _step(self, inputs: StepInputs) -> StepOutputs:
+        network, state = self._network, inputs.recurrent
+        pixels = network.pixels(inputs.frames)
+        targets, places = network.maps(pixels, inputs.goals)
         cells, is_chosen = network.maps.cells, state[:, 2:] > 0
         place = torch.where(is_chosen, state[:, :2], cells.likeliest_place(places))
-        displacement, termination = network(
-            pixels, network.hand(pixels), cells.mode(targets), place, self._tensor(previous)
-        )
-        reached, score = termination.sigmoid(), network.in_distribution
-        return PolicyOutput(
-            actions=network.actions(displacement)[:, None].cpu().numpy(),
-            reached=reached.cpu().numpy(),
-            recurrent=torch.cat([place, torch.ones_like(place[:, :1])], dim=1).cpu().numpy(),
-            in_distribution=score(score.distance(image_statistics(seen)), confidence(reached)).cpu().numpy(),
-        )
+        displacement, termination = network(pixels, network.hand(pixels), cells.mode(targets), place, inputs.previous)
+        reached, later = termination.sigmoid(), torch.cat([place, torch.ones_like(place[:, :1])], dim=1)
+        return StepOutputs(network.actions(displacement)[:, None], reached, later, confidence(reached))

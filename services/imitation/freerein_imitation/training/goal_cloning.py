@@ -21,7 +21,7 @@ from freerein.learning.trajectories import Trajectories
 from freerein_imitation import objectives
 from freerein_imitation.model import action_bins
 from freerein_imitation.model.goal_cloning import GoalCloningNetwork, GoalCloningSpec
-from freerein_imitation.model.policy import confidence
+from freerein_imitation.model.torch_policy import confidence
 from freerein_imitation.training.change_head import change_data, fit_change_head, time_logits
 from freerein_imitation.training.frame_features import encode_trajectory, sampled_statistics, trajectory_statistics
 from freerein_imitation.training.goal_windows import (

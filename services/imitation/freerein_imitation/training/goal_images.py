@@ -21,7 +21,7 @@ from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation import objectives
 from freerein_imitation.model.goal_images import GoalImagesNetwork, GoalImagesSpec, GoalRecognizer, proximity_logit
-from freerein_imitation.model.policy import confidence
+from freerein_imitation.model.torch_policy import confidence
 from freerein_imitation.training.frame_features import encode_trajectory, sampled_statistics, trajectory_statistics
 from freerein_imitation.training.goal_relabelling import RelabelledSlices, sample_recognizer_batch, sample_slices
 

@@ -26,8 +26,8 @@ from freerein.learning.learner import Items, Learner, Losses, Stage
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation import objectives
-from freerein_imitation.model.policy import confidence
 from freerein_imitation.model.skills import SkillsNetwork, SkillsSpec
+from freerein_imitation.model.torch_policy import confidence
 from freerein_imitation.training.frame_features import sampled_statistics
 from freerein_imitation.training.skill_segments import (
     Ints,
