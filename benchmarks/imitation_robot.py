@@ -18,7 +18,7 @@ from freerein.clients import ImitationClient
 from freerein.types.common import ActionSpec, Camera, Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ControlRequest, ControlResponse, Hello, Observed
 from freerein_imitation.methods import METHODS
-from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
+from freerein_imitation.methods.goal_conditioned.network import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.model.policy import ControlSpec, PolicyOutput
 
 CONTROL = "/freerein.api.imitation.v1.ImitationService/Control"

@@ -20,7 +20,7 @@ from freerein.learning.model_files import save_model
 from freerein.model_store import ModelStore
 from freerein.types.common import ActionSpec, Camera, Goal, Image
 from freerein.types.imitation import ControlResponse
-from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
+from freerein_imitation.methods.goal_conditioned.network import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.model.policy import ControlSpec
 
 pytestmark = pytest.mark.e2e

@@ -18,8 +18,8 @@ from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein_imitation.core import ActService, ControlService, PolicyRunner
 from freerein_imitation.methods import METHODS
-from freerein_imitation.model import text_encoder
-from freerein_imitation.model.wordpiece import MAX_TOKENS
+from freerein_imitation.methods.language.texts import text_encoder
+from freerein_imitation.methods.language.texts.wordpiece import MAX_TOKENS
 
 
 @dataclass(frozen=True)

@@ -17,17 +17,19 @@ from freerein.learning.inputs import spec_of
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera, Trajectory
 from freerein_imitation.methods import METHODS
-from freerein_imitation.model.goal_cloning import GoalCloningNetwork, GoalCloningPolicy, GoalCloningSpec
-from freerein_imitation.model.odometry_recognizer import OdometryRecognizer
-from freerein_imitation.model.policy import ControlSpec
-from freerein_imitation.training.goal_cloning import GoalCloningConfig, GoalCloningLearner
-from freerein_imitation.training.goal_windows import (
+from freerein_imitation.methods.goal_cloning.config import GoalCloningConfig
+from freerein_imitation.methods.goal_cloning.goal_windows import (
     GoalWindows,
     lookalikes,
     sample_change_pairs,
     sample_goal_pairs,
     sample_windows,
 )
+from freerein_imitation.methods.goal_cloning.losses import GoalCloningLearner
+from freerein_imitation.methods.goal_cloning.network import GoalCloningNetwork, GoalCloningSpec
+from freerein_imitation.methods.goal_cloning.odometry_recognizer import OdometryRecognizer
+from freerein_imitation.methods.goal_cloning.policy import GoalCloningPolicy
+from freerein_imitation.model.policy import ControlSpec
 
 SIDE = 16
 CPU = torch.device("cpu")

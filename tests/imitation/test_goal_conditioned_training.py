@@ -14,12 +14,13 @@ from freerein.learning.inputs import spec_of
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
-from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
-from freerein_imitation.model.goal_images import GoalImagesPolicy
+from freerein_imitation.methods.goal_conditioned.config import GoalConditionedConfig
+from freerein_imitation.methods.goal_conditioned.losses import GoalConditionedLearner
+from freerein_imitation.methods.goal_conditioned.network import GoalConditionedNetwork, GoalConditionedSpec
+from freerein_imitation.methods.shared.goal_images.losses import reached_threshold
+from freerein_imitation.methods.shared.goal_images.policy import GoalImagesPolicy
+from freerein_imitation.methods.shared.goal_images.relabelling import RecognizerBatch, sample_slices
 from freerein_imitation.model.policy import ControlSpec
-from freerein_imitation.training.goal_conditioned import GoalConditionedConfig, GoalConditionedLearner
-from freerein_imitation.training.goal_images import reached_threshold
-from freerein_imitation.training.goal_relabelling import RecognizerBatch, sample_slices
 
 SIDE = 16
 STEP = 1.0

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from freerein_imitation.model.goal_text_reader import GoalTextReader, Tag
-from freerein_imitation.model.text_encoder import TextEncoder
-from freerein_imitation.training import goal_text_reader
-from freerein_imitation.training.goal_text_reader import fit_goal_text_reader
-from freerein_imitation.training.tagged_texts import ADJECTIVES, draw_tagged_text
+from freerein_imitation.methods.language.texts import reader_fit as goal_text_reader
+from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextReader, Tag
+from freerein_imitation.methods.language.texts.reader_fit import fit_goal_text_reader
+from freerein_imitation.methods.language.texts.tagged_texts import ADJECTIVES, draw_tagged_text
+from freerein_imitation.methods.language.texts.text_encoder import TextEncoder
 
 
 @pytest.fixture

@@ -14,19 +14,13 @@ from freerein.errors import InvalidInput
 from freerein.learning import model_files, weights
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods import METHODS
-from freerein_imitation.model.goal_text_reader import GoalTextReader
-from freerein_imitation.model.language import (
-    TEXT_ENCODER_FILE,
-    TEXTS_FILE,
-    LanguageNetwork,
-    LanguageSpec,
-    principal_components,
-    text_encoder_entry,
-)
+from freerein_imitation.methods.language.network import LanguageNetwork, LanguageSpec, principal_components
+from freerein_imitation.methods.language.policy import TEXT_ENCODER_FILE, TEXTS_FILE, text_encoder_entry
+from freerein_imitation.methods.language.texts import minilm
+from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextReader
+from freerein_imitation.methods.language.texts.text_encoder import TextEncoder
+from freerein_imitation.methods.language.texts.wordpiece import MAX_TOKENS, WordPieceTokenizer
 from freerein_imitation.model.policy import ControlSpec
-from freerein_imitation.model.text_encoder import TextEncoder
-from freerein_imitation.model.wordpiece import MAX_TOKENS, WordPieceTokenizer
-from freerein_imitation.training import minilm
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "all_minilm_l6_v2.json").read_text())
 CAMERAS = (Camera("front", 8, 8, 3),)

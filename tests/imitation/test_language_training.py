@@ -14,12 +14,13 @@ from freerein.learning import weights
 from freerein.learning.fit import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
-from freerein_imitation.model.language import LanguagePolicy
+from freerein_imitation.methods.language.config import LanguageConfig
+from freerein_imitation.methods.language.goal_text_dataset import GoalTextDataset, random_shift, split_by_text
+from freerein_imitation.methods.language.losses import LanguageLearner
+from freerein_imitation.methods.language.policy import LanguagePolicy
+from freerein_imitation.methods.language.texts import reader_fit as goal_text_reader
+from freerein_imitation.methods.language.texts.text_encoder import TextEncoder
 from freerein_imitation.model.policy import NEVER_REACHED, ControlSpec
-from freerein_imitation.model.text_encoder import TextEncoder
-from freerein_imitation.training import goal_text_reader
-from freerein_imitation.training.goal_texts import GoalTextDataset, random_shift, split_by_text
-from freerein_imitation.training.language import LanguageConfig, LanguageLearner
 
 CPU = torch.device("cpu")
 CAMERAS = (Camera("front", 12, 12, 3),)

@@ -18,12 +18,14 @@ from freerein.learning.image_statistics import image_statistics
 from freerein.learning.inputs import InputSpec
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods import METHODS
-from freerein_imitation.model import action_bins
-from freerein_imitation.model.goal_conditioned import GoalConditionedNetwork, GoalConditionedSpec
-from freerein_imitation.model.goal_images import GoalImagesPolicy
+from freerein_imitation.methods.goal_conditioned.network import GoalConditionedNetwork, GoalConditionedSpec
+from freerein_imitation.methods.shared import action_bins
+from freerein_imitation.methods.shared.goal_images.policy import GoalImagesPolicy
+from freerein_imitation.methods.skill_cloning.network import SkillCloningNetwork, SkillCloningSpec
+from freerein_imitation.methods.skill_cloning.policy import SkillCloningPolicy
+from freerein_imitation.methods.skills.network import SkillsNetwork, SkillsSpec
+from freerein_imitation.methods.skills.policy import SkillsPolicy
 from freerein_imitation.model.policy import CameraFrames, ControlSpec
-from freerein_imitation.model.skill_cloning import SkillCloningNetwork, SkillCloningPolicy, SkillCloningSpec
-from freerein_imitation.model.skills import SkillsNetwork, SkillsPolicy, SkillsSpec
 
 INPUTS: dict[str, Any] = {"cameras": (Camera("front", 24, 20, 3),), "action": ActionSpec(2, 0, ("dy", "dz"))}
 GOALS = GoalConditionedSpec(**INPUTS, features=16, hidden_size=12)

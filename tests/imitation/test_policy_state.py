@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.core.policy_state import PolicyState, decode_state, encode_state
-from freerein_imitation.model.goal_conditioned import GoalConditionedSpec
+from freerein_imitation.methods.goal_conditioned.network import GoalConditionedSpec
 
 INPUTS: dict[str, Any] = {"cameras": (Camera("front", 64, 64, 3),), "action": ActionSpec(1, 0, ("x",))}
 VERSION, OTHER = "0123456789ab", "ba9876543210"

@@ -2,7 +2,7 @@
 
 import torch
 
-from freerein_imitation.training.positive_unlabelled import positive_unlabelled_calibration
+from freerein_imitation.methods.goal_cloning.positive_unlabelled import positive_unlabelled_calibration
 
 
 def test_the_probability_is_that_of_the_unlabelled_examples() -> None:

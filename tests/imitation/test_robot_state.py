@@ -33,11 +33,12 @@ from freerein.types.imitation import ActRequest, ControlRequest, GetSpecRequest,
 from freerein.types.segmentation import FLAGGED
 from freerein_imitation.core import ActService, ControlService, PolicyRunner
 from freerein_imitation.methods import METHODS
+from freerein_imitation.methods.skill_cloning.config import SkillCloningConfig, network_spec
+from freerein_imitation.methods.skill_cloning.network import SkillCloningNetwork
+from freerein_imitation.methods.skill_cloning.policy import SkillCloningPolicy
 from freerein_imitation.model.policy import ControlSpec
-from freerein_imitation.model.skill_cloning import SkillCloningNetwork, SkillCloningPolicy
 from freerein_imitation.openpi import OpenpiService
 from freerein_imitation.openpi.messages import pack, unpack
-from freerein_imitation.training.skill_cloning_config import SkillCloningConfig, network_spec
 
 SKILLS = ("away", "towards")
 STEPS, EPISODES = 20, 24

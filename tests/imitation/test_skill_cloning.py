@@ -16,13 +16,14 @@ from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.core.inference import InferenceRequest, InferenceResult, PolicyRunner
 from freerein_imitation.core.inputs import Subgoal
 from freerein_imitation.core.policy_state import PolicyState
+from freerein_imitation.methods.shared.skill_segments import SkillSegment, find_segments, keep_tagged
+from freerein_imitation.methods.skill_cloning.config import SkillCloningConfig, network_spec
+from freerein_imitation.methods.skill_cloning.losses import SkillCloningLearner
+from freerein_imitation.methods.skill_cloning.memory import Memory, MemorySizes
+from freerein_imitation.methods.skill_cloning.network import SkillCloningSpec
+from freerein_imitation.methods.skill_cloning.policy import SkillCloningPolicy
+from freerein_imitation.methods.skill_cloning.spans import SkillTimes, Spans
 from freerein_imitation.model.policy import ControlSpec
-from freerein_imitation.model.skill_cloning import SkillCloningPolicy, SkillCloningSpec
-from freerein_imitation.model.skill_memory import Memory, MemorySizes
-from freerein_imitation.training.skill_cloning import SkillCloningLearner
-from freerein_imitation.training.skill_cloning_config import SkillCloningConfig, network_spec
-from freerein_imitation.training.skill_segments import SkillSegment, find_segments, keep_tagged
-from freerein_imitation.training.skill_spans import SkillTimes, Spans
 
 SKILLS = ("left", "right")
 ENDS = (4.0, 19.0)

@@ -10,7 +10,7 @@ from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_imitation.methods import METHODS
-from freerein_imitation.model.skills import SkillsPolicy
+from freerein_imitation.methods.skills.policy import SkillsPolicy
 
 ASKED = {"method": "skills", "steps": 2, "batch_size": 2, "hidden_size": 8}
 ACTION = ActionSpec(2, 0, ("dy", "dz"), "m", (0.05, 0.05))

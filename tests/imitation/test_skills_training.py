@@ -13,18 +13,14 @@ from freerein.learning.inputs import spec_of
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.segmentation import FLAGGED
+from freerein_imitation.methods.shared.skill_segments import SkillSegment, find_segments, match_tags, split_segments
+from freerein_imitation.methods.skills.config import SkillsConfig
+from freerein_imitation.methods.skills.losses import SkillsLearner
+from freerein_imitation.methods.skills.network import SkillsSpec
+from freerein_imitation.methods.skills.policy import SkillsPolicy
+from freerein_imitation.methods.skills.skill_steps import end_at_waypoints, steps_of
+from freerein_imitation.methods.skills.waypoints import Waypoints
 from freerein_imitation.model.policy import ControlSpec
-from freerein_imitation.model.skills import SkillsPolicy, SkillsSpec
-from freerein_imitation.training.skill_segments import (
-    SkillSegment,
-    end_at_waypoints,
-    find_segments,
-    match_tags,
-    split_segments,
-    steps_of,
-)
-from freerein_imitation.training.skill_waypoints import Waypoints
-from freerein_imitation.training.skills import SkillsConfig, SkillsLearner
 
 SKILLS = ("to-red", "to-blue")
 MORE_SKILLS = ("wave", *SKILLS, "jump")

@@ -1,4 +1,4 @@
-"""The methods of the service, by name. A new one is a module here and a line in `METHODS`, with its import."""
+"""The methods of the service, by name. A new one is a folder or a module here, and a line in `METHODS`."""
 
 from types import MappingProxyType
 

@@ -5,7 +5,6 @@ place of x_{t+1}. It has no recurrence, no previous action and no forward consis
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -13,17 +12,13 @@ from torch.nn import functional
 
 from freerein.config import bounded
 from freerein.learning.encoders import ENCODERS, CameraEncoders
-from freerein.learning.fit import FitResult
-from freerein.learning.fit_dataset import FitDataset
-from freerein.learning.inputs import spec_of
-from freerein.learning.methods import Method
-from freerein_imitation import objectives
-from freerein_imitation.methods import goal_images
-from freerein_imitation.model import action_bins
-from freerein_imitation.model.goal_images import GoalImagesNetwork, GoalImagesPolicy, GoalImagesSpec
-from freerein_imitation.model.torch_policy import loader
-from freerein_imitation.training.goal_images import GoalImagesConfig, GoalImagesLearner
-from freerein_imitation.training.goal_relabelling import RelabelledSlices
+from freerein_imitation.methods.shared import action_bins
+from freerein_imitation.methods.shared.goal_images.config import GoalImagesConfig
+from freerein_imitation.methods.shared.goal_images.losses import GoalImagesLearner
+from freerein_imitation.methods.shared.goal_images.method import goal_images_method
+from freerein_imitation.methods.shared.goal_images.network import GoalImagesNetwork, GoalImagesSpec
+from freerein_imitation.methods.shared.goal_images.relabelling import RelabelledSlices
+from freerein_imitation.methods.shared.losses import action_cross_entropy, masked_mean
 
 
 @dataclass(frozen=True)
@@ -74,6 +69,11 @@ class InverseModel(nn.Module):
 class InverseModelLearner(GoalImagesLearner[InverseModelNetwork]):
     """The learner of the inverse model and of the goal recognizer."""
 
+    @property
+    def max_steps_per_goal(self) -> int:
+        """Control steps after which a goal is abandoned."""
+        return 2 * self.config.far_steps
+
     def network(self) -> InverseModelNetwork:
         """Returns an untrained network."""
         return InverseModelNetwork(self.spec)
@@ -84,22 +84,8 @@ class InverseModelLearner(GoalImagesLearner[InverseModelNetwork]):
         at = slices.timesteps  # (S, L)
         logits = network.policy(features[at], features[slices.goals][:, None].expand(-1, at.shape[1], -1))
         executed = action_bins.encode(slices.actions[at], choices=self.spec.action.choices)  # (S, L, A, categories)
-        action = objectives.masked_mean(objectives.action_cross_entropy(logits, executed), slices.mask)
+        action = masked_mean(action_cross_entropy(logits, executed), slices.mask)
         return action, action.new_zeros(())
 
 
-def _prepare(source: FitDataset, config: InverseModelConfig, device: torch.device) -> InverseModelLearner:
-    return goal_images.prepare(source, config, _spec(source, config), device, InverseModelLearner)
-
-
-def _card(source: FitDataset, learner: InverseModelLearner, fitted: FitResult[InverseModelNetwork]) -> dict[str, Any]:
-    return goal_images.card(source, learner, fitted, max_steps_per_goal=2 * learner.config.far_steps)
-
-
-def _spec(source: FitDataset, config: InverseModelConfig) -> GoalImagesSpec:
-    cameras, action = source.cameras(config.cameras), source.dataset.spec.action
-    return spec_of(config, GoalImagesSpec, cameras=cameras, action=action)
-
-
-_load = loader(GoalImagesPolicy, GoalImagesSpec, InverseModelNetwork)
-METHOD = Method(InverseModelConfig, _spec, _prepare, _card, _load)
+METHOD = goal_images_method(InverseModelConfig, GoalImagesSpec, InverseModelNetwork, InverseModelLearner)

@@ -1,1 +1,1 @@
-"""Policy networks, and the policies that serve them: numpy in, numpy out."""
+"""What every policy is, whatever method makes it, and the policies of ppo runs."""

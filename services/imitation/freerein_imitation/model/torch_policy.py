@@ -1,7 +1,7 @@
 """The base of policies that are torch networks."""
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, nn
 
 from freerein.config import C
-from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.encoders import FrameTensors
 from freerein.learning.image_statistics import image_statistics
@@ -141,19 +140,3 @@ def loader(policy: Callable[[N, ControlSpec], P], spec: type[C], network: Callab
 def confidence(reached: Tensor) -> Tensor:
     """Returns the probability of the likelier of reached and not reached, float32 (N,), of that of reached (N,)."""
     return torch.maximum(reached, 1 - reached)
-
-
-def one_hot_skills(skills: Sequence[str], names: Sequence[str]) -> npt.NDArray[np.float32]:
-    """Returns one-hot codes of skill names, float32 (N, skills).
-
-    Raises:
-        InvalidInput: A name is not among `skills`.
-    """
-    unknown = sum(name not in skills for name in names)
-    if unknown:
-        raise InvalidInput(
-            f"Skills must be among {', '.join(skills)}; {unknown} of {len(names)} are not.",
-            field="goal",
-            hint="GetSpec lists a model's skills.",
-        )
-    return np.eye(len(skills), dtype=np.float32)[[skills.index(name) for name in names]]

@@ -1,0 +1,32 @@
+"""Configuration of language policies."""
+
+from dataclasses import dataclass
+
+from freerein.config import bounded, one_of
+from freerein.learning.encoders import ENCODERS
+from freerein.learning.fit_config import DatasetFitConfig
+
+
+@dataclass(frozen=True)
+class LanguageConfig(DatasetFitConfig):
+    """Configuration of a fit of a language policy; `validation_fraction` is that of each goal text's trajectories.
+
+    Attributes:
+        encoder: Image encoder.
+        max_shift: Largest random shift of a frame along each axis, as a share of its side; 0 for none.
+        features: Image features per camera.
+        text_features: Size of the text features.
+        hidden_size: Units of the two hidden layers.
+        max_steps_per_goal: Control steps after which a goal is abandoned; 0 for the longest trajectory's.
+        word_blind: Whether to ignore what goal texts say: the baseline of a policy that follows them.
+    """
+
+    encoder: str = one_of(ENCODERS, "spatial")
+    max_shift: float = bounded(0.03, least=0.0, most=0.25)
+    steps: int = bounded(3000, least=1, most=10_000_000)
+    batch_size: int = bounded(128, least=1, most=4096)
+    features: int = bounded(128, least=8, most=1024)
+    text_features: int = bounded(32, least=1, most=1024)
+    hidden_size: int = bounded(128, least=8, most=1024)
+    max_steps_per_goal: int = bounded(0, least=0, most=1_000_000)
+    word_blind: bool = False

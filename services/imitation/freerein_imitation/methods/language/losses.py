@@ -1,0 +1,143 @@
+"""Distillation into a language policy, from frames, executed actions and goal texts of single-task policies."""
+
+import hashlib
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from freerein.learning import weights
+from freerein.learning.encoders import FrameTensors
+from freerein.learning.image_statistics import image_statistics
+from freerein.learning.in_distribution import KNOWN_FRAMES
+from freerein.learning.inputs import spec_of
+from freerein.learning.learner import Items, Learner, Losses
+from freerein.learning.train_state import TrainState
+from freerein.learning.trajectories import Trajectories
+from freerein.types.common import ActionSpec, Camera
+from freerein_imitation.methods.language.config import LanguageConfig
+from freerein_imitation.methods.language.goal_text_dataset import (
+    GoalTextDataset,
+    TimestepBatch,
+    random_shift,
+    split_by_text,
+)
+from freerein_imitation.methods.language.network import LanguageNetwork, LanguageSpec, principal_components
+from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextReader
+from freerein_imitation.methods.language.texts.reader_fit import fit_goal_text_reader
+from freerein_imitation.methods.language.texts.text_encoder import TextEncoder
+from freerein_imitation.methods.shared import action_bins
+from freerein_imitation.methods.shared.frame_features import trajectory_statistics
+from freerein_imitation.methods.shared.losses import action_cross_entropy, squared_error
+
+State = TrainState[LanguageNetwork]
+
+_NORMALISATION_FRAMES = 2000
+_EVALUATION_TIMESTEPS = 1024
+_EVALUATION_BATCH = 128
+
+
+@dataclass(frozen=True, eq=False)
+class LanguageLearner(Learner[LanguageNetwork]):
+    """Learner of a language policy; an item is a timestep.
+
+    Attributes:
+        text_encoder: File of the text encoder.
+        reader: Reads goal texts.
+    """
+
+    config: LanguageConfig
+    spec: LanguageSpec
+    training: GoalTextDataset
+    validation: GoalTextDataset
+    text_encoder: bytes
+    reader: GoalTextReader
+    fingerprint: str
+    device: torch.device
+
+    @classmethod
+    def prepare(
+        cls,
+        config: LanguageConfig,
+        trajectories: Trajectories,
+        text_encoder: bytes,
+        *,
+        cameras: tuple[Camera, ...],
+        action: ActionSpec,
+        fingerprint: str,
+        device: torch.device,
+    ) -> "LanguageLearner":
+        """Returns the learner for trajectories with goal texts; fits a reader and reads every distinct text once.
+
+        Raises InvalidInput where no goal text has two trajectories.
+        """
+        encoder, distinct = TextEncoder(text_encoder), sorted(set(trajectories.goal_texts))
+        reader = fit_goal_text_reader(encoder, seed=config.seed)
+        read = distinct[:1] * len(distinct) if config.word_blind else distinct
+        codes = {text: reader.encode(each, encoder).numpy() for text, each in zip(distinct, read, strict=True)}
+        dataset = GoalTextDataset(trajectories, codes)
+        training, validation = split_by_text(dataset, fraction=config.validation_fraction, seed=config.seed)
+        known = training.distinct_codes()
+        texts = {"text_components": principal_components(known).shape[1], "known_texts": len(known)}
+        spec = spec_of(config, LanguageSpec, cameras=cameras, action=action, text_size=encoder.size, **texts)
+        fingerprint = f"{fingerprint} {hashlib.sha256(text_encoder).hexdigest()}"
+        return cls(config, spec, training, validation, text_encoder, reader, fingerprint, device)
+
+    @property
+    def size(self) -> int:
+        """Training timesteps."""
+        return len(self.training)
+
+    def init(self, generator: torch.Generator) -> State:
+        """Returns the state before the first update."""
+        network = LanguageNetwork(self.spec)
+        weights.initialise(network, generator=generator)
+        network.reader.load_state_dict(self.reader.state_dict())
+        frames = self.training.trajectories.sample_frames(_NORMALISATION_FRAMES)
+        network.fit_normalisation(frames, self.training.distinct_codes(), generator=generator)
+        return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
+
+    def loss(self, state: State, items: Items) -> Losses:
+        """Returns the action loss of some timesteps."""
+        batch = self.training.collate(items, device=self.device)
+        batch = replace(batch, frames=self._shifted(batch.frames, state.generator))
+        return {"train_loss": action_loss(state.network, batch).mean()}
+
+    @torch.no_grad()
+    def evaluate(self, state: State) -> float:
+        """Returns the mean action loss over validation timesteps, the same ones each time."""
+        count = len(self.validation)
+        timesteps = np.arange(0, count, math.ceil(count / _EVALUATION_TIMESTEPS))
+        parts = np.split(timesteps, range(_EVALUATION_BATCH, len(timesteps), _EVALUATION_BATCH))
+        batches = (self.validation.collate(part, device=self.device) for part in parts)
+        return torch.cat([action_loss(state.network, batch) for batch in batches]).mean().item()
+
+    def calibrate(self, network: LanguageNetwork) -> None:
+        """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
+        generator = torch.Generator().manual_seed(self.config.seed)
+        shifted = self._shifted(self.training.trajectories.sample_frames(KNOWN_FRAMES), generator)
+        held_out = trajectory_statistics(self.validation.trajectories).to(self.device)
+        network.in_distribution.fit(
+            image_statistics(shifted).to(self.device),
+            held_out,
+            held_out.new_ones(len(held_out)),
+            trajectories=len(self.validation.trajectories),
+        )
+
+    def _shifted(self, frames: FrameTensors, generator: torch.Generator) -> FrameTensors:
+        """Returns frames shifted at random, as the configuration says."""
+        if not self.config.max_shift:
+            return frames
+        shift = partial(random_shift, most=self.config.max_shift, generator=generator)
+        return {camera: shift(each) for camera, each in frames.items()}
+
+
+def action_loss(network: LanguageNetwork, batch: TimestepBatch) -> Tensor:
+    """Returns the action loss of each timestep, float (B,): squared error, or cross-entropy of discrete actions."""
+    predicted, choices = network(batch.frames, batch.texts), network.spec.action.choices
+    if choices:
+        return action_cross_entropy(predicted, action_bins.encode(batch.actions, choices=choices))
+    return squared_error(predicted, batch.actions)

@@ -1,0 +1,81 @@
+"""The method `language`."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from freerein.data import read_teachers
+from freerein.errors import InvalidInput
+from freerein.learning.fit import FitResult
+from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.inputs import spec_of
+from freerein.learning.methods import Method
+from freerein_imitation.methods.language.config import LanguageConfig
+from freerein_imitation.methods.language.losses import LanguageLearner
+from freerein_imitation.methods.language.network import LanguageNetwork, LanguageSpec
+from freerein_imitation.methods.language.policy import TEXT_ENCODER_FILE, TEXTS_FILE, LanguagePolicy, text_encoder_entry
+from freerein_imitation.methods.language.texts import minilm
+from freerein_imitation.model.policy import NEVER_REACHED, ControlSpec
+
+_TEXTS_IN_CARD = 64
+
+
+def _check(source: FitDataset, config: LanguageConfig) -> None:
+    dataset = source.dataset
+    minilm.check()
+    missing = dataset.goal_texts.count("")
+    if missing:
+        raise InvalidInput(
+            f"Every trajectory must have a goal text; {missing} of {len(dataset)} have none.",
+            field="dataset",
+            hint="Record each trajectory with its goal text.",
+        )
+    spec_of(config, LanguageSpec, cameras=source.cameras(config.cameras), action=dataset.spec.action)
+
+
+def _complete(source: FitDataset, config: LanguageConfig) -> LanguageConfig:
+    longest = int(source.dataset.lengths.max(initial=1))
+    return replace(config, max_steps_per_goal=config.max_steps_per_goal or longest)
+
+
+def _prepare(source: FitDataset, config: LanguageConfig, device: torch.device) -> LanguageLearner:
+    return LanguageLearner.prepare(
+        config,
+        source.trajectories(config.cameras),
+        minilm.read(),
+        cameras=source.cameras(config.cameras),
+        action=source.dataset.spec.action,
+        fingerprint=source.dataset.fingerprint,
+        device=device,
+    )
+
+
+def _card(source: FitDataset, learner: LanguageLearner, fitted: FitResult[LanguageNetwork]) -> dict[str, Any]:
+    texts = sorted(set(source.dataset.goal_texts))
+    return {
+        **ControlSpec(1 / source.dataset.spec.fps, NEVER_REACHED, learner.config.max_steps_per_goal).to_card(),
+        "figures": {**fitted.figures, "action_loss": fitted.validation_loss},
+        "goal_texts": {"count": len(texts), "first": texts[:_TEXTS_IN_CARD]},
+        **supervision_of(read_teachers(source.root)),
+        **text_encoder_entry(minilm.NAME, learner.text_encoder),
+    }
+
+
+def _files(learner: LanguageLearner) -> Mapping[str, bytes]:
+    texts = sorted(learner.training.codes)
+    return {TEXT_ENCODER_FILE: learner.text_encoder, TEXTS_FILE: json.dumps(texts).encode()}
+
+
+def supervision_of(teacher_cards: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Returns the card's entries on supervision: the dataset's, and that of the policies that acted in it, if any."""
+    supervision = "images, executed actions and goal texts"
+    if teacher_cards:
+        theirs = sorted({str(card.get("supervision") or "unknown") for card in teacher_cards})
+        supervision += f" of policies with this supervision: {'; or: '.join(theirs)}"
+    return {"supervision": supervision, "privileged": any(card.get("privileged") is True for card in teacher_cards)}
+
+
+METHOD = Method(LanguageConfig, _check, _prepare, _card, LanguagePolicy.load, complete=_complete, files=_files)

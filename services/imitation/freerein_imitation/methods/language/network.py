@@ -1,0 +1,147 @@
+"""The language-conditioned policy of section 4.3, into which single-task policies are distilled.
+
+The text encoder is frozen and no part of the network, which takes the codes of texts (`GoalTextReader`). Of these it
+uses the principal components of the training goal texts only: along other directions there was nothing to learn from.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from freerein.config import bounded, one_of
+from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
+from freerein.learning.image_statistics import statistics_size
+from freerein.learning.in_distribution import InDistribution
+from freerein.learning.inputs import InputSpec
+from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextReader
+from freerein_imitation.model.torch_policy import PolicyNetwork
+
+MAX_COMPONENTS = 64
+MAX_KNOWN_TEXTS = 10_000
+
+_LEAST_SINGULAR_VALUE = 1e-2  # as a share of the largest
+
+
+@dataclass(frozen=True, kw_only=True)
+class LanguageSpec(InputSpec):
+    """Inputs, outputs and sizes of a network.
+
+    Attributes:
+        text_size: Size of the text encoder's embeddings.
+        text_components: Principal components of the training goal texts.
+        known_texts: Training goal texts.
+        encoder: Image encoder.
+        features: Image features per camera.
+        text_features: Size of the text features.
+        hidden_size: Units of the two hidden layers.
+    """
+
+    text_size: int = bounded(384, least=1, most=4096)
+    text_components: int = bounded(1, least=1, most=MAX_COMPONENTS)
+    known_texts: int = bounded(1, least=1, most=MAX_KNOWN_TEXTS)
+    encoder: str = one_of(ENCODERS, "spatial")
+    features: int = bounded(128, least=8, most=1024)
+    text_features: int = bounded(32, least=1, most=1024)
+    hidden_size: int = bounded(128, least=8, most=1024)
+
+
+class LanguageNetwork(PolicyNetwork):
+    """pi(a_t | x_t, text): image features modulated by the text (FiLM), two hidden layers, action head.
+
+    Args:
+        spec: Inputs, outputs and sizes.
+
+    Attributes:
+        reader: Reads goal texts; trained before, on text alone.
+    """
+
+    spec: LanguageSpec
+    text_mean: Tensor
+    text_basis: Tensor
+    known_texts: Tensor
+
+    def __init__(self, spec: LanguageSpec) -> None:
+        super().__init__()
+        self.spec = spec
+        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
+        self.text_layer = nn.Linear(spec.text_components, spec.text_features)
+        self.film = nn.Linear(spec.text_features, 2 * self.encoder.size)
+        self.hidden1 = nn.Linear(self.encoder.size, spec.hidden_size)
+        self.hidden2 = nn.Linear(spec.hidden_size, spec.hidden_size)
+        self.action_head = nn.Linear(spec.hidden_size, spec.encoded_action_size)
+        self.in_distribution = InDistribution(statistics_size(spec.cameras))
+        self.reader = GoalTextReader(spec.text_size).requires_grad_(False)
+        self.register_buffer("text_mean", torch.zeros(self.reader.code_size))
+        self.register_buffer("text_basis", torch.zeros(self.reader.code_size, spec.text_components))
+        self.register_buffer("known_texts", torch.zeros(spec.known_texts, spec.text_components))
+
+    @torch.no_grad()
+    def fit_normalisation(self, frames: FrameTensors, texts: Tensor, *, generator: torch.Generator) -> None:
+        """Sets what is not trained of the encoder, and mean and principal components of the goal texts.
+
+        Args:
+            frames: Training frames by camera, uint8 (N, H, W, C).
+            texts: Codes of the distinct goal texts, float32 (known_texts, code size).
+            generator: On the CPU.
+        """
+        self.encoder.fit_normalisation(frames, generator=generator)
+        self.text_mean.copy_(texts.mean(dim=0))
+        self.text_basis.copy_(principal_components(texts))
+        self.known_texts.copy_(self._components(texts))
+
+    def forward(self, frames: FrameTensors, texts: Tensor) -> Tensor:
+        """Returns actions, float32 (B, A), not clipped, or logits of discrete ones, (B, 1, choices).
+
+        Args:
+            frames: By camera, uint8 (B, H, W, C).
+            texts: Codes of texts, float32 (B, code size).
+        """
+        return self.act(self.encoder(frames), texts)
+
+    def knows(self, texts: Tensor) -> Tensor:
+        """Returns which texts are near a training goal text in what the network uses of their codes.
+
+        Near is less than half of these texts' mean distance from their centre.
+
+        Args:
+            texts: Codes of texts, float32 (B, code size).
+
+        Returns:
+            bool (B,).
+        """
+        distance = torch.cdist(self._components(texts), self.known_texts).amin(dim=1)  # (B,)
+        near: Tensor = distance <= self.known_texts.norm(dim=1).mean() / 2
+        return near
+
+    def _components(self, texts: Tensor) -> Tensor:
+        return (texts - self.text_mean) @ self.text_basis
+
+    def act(self, features: Tensor, texts: Tensor) -> Tensor:
+        """Returns actions as `forward` does, of frames with features float32 (B, D), from `encoder`."""
+        text = functional.relu(self.text_layer(self._components(texts)))  # (B, text_features)
+        scale, shift = self.film(text).chunk(2, dim=1)  # (B, D) each
+        modulated = features * (1 + scale) + shift  # (B, D)
+        hidden = functional.relu(self.hidden2(functional.relu(self.hidden1(modulated))))  # (B, hidden_size)
+        action: Tensor = self.action_head(hidden)  # (B, A or choices)
+        return action[:, None] if self.spec.action.choices else action
+
+
+def principal_components(embeddings: Tensor) -> Tensor:
+    """Returns the directions in which embeddings differ, scaled to a mean coordinate of about 1.
+
+    Args:
+        embeddings: float32 (n, W), n >= 1.
+
+    Returns:
+        float32 (W, D), D from 1 to `MAX_COMPONENTS`; one direction of zeros where nothing differs.
+    """
+    centred = embeddings - embeddings.mean(dim=0)  # (n, W)
+    _, singular_values, directions = torch.linalg.svd(centred, full_matrices=False)  # (D,), (D, W)
+    count = min(MAX_COMPONENTS, int((singular_values > _LEAST_SINGULAR_VALUE * singular_values[0]).sum()))
+    if not count or singular_values[0] <= torch.finfo(embeddings.dtype).eps * len(embeddings):
+        return embeddings.new_zeros(embeddings.shape[1], 1)
+    length: Tensor = torch.linalg.vector_norm(centred, dim=1).mean()
+    basis: Tensor = directions[:count].T * (count**0.5 / length)
+    return basis

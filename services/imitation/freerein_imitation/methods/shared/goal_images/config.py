@@ -1,0 +1,49 @@
+"""Configuration of fits to goal images."""
+
+from dataclasses import dataclass
+
+from freerein.config import bounded, one_of
+from freerein.errors import InvalidInput
+from freerein.learning.encoders import ENCODERS
+from freerein.learning.fit_config import DatasetFitConfig
+
+
+@dataclass(frozen=True)
+class GoalImagesConfig(DatasetFitConfig):
+    """Base configuration of a fit to goal images; validation trajectories choose the reached threshold, too.
+
+    Attributes:
+        encoder: Image encoder of the policy and of the goal recognizer.
+        min_goal_steps: Fewest actions from a slice's first frame to its goal.
+        max_goal_steps: Most actions from a slice's first frame to its goal.
+        close_steps: Frames at most so many actions apart are positive pairs of the goal recognizer.
+        far_steps: Frames of one trajectory more actions apart than that are negative pairs.
+        batch_size: Windows per update; each is cut into many slices.
+        features: Image features per camera of the policy.
+        hidden_size: Units of the policy's hidden layers.
+        embedding_size: Size of the recognizer's embeddings, and its image features per camera.
+
+    Raises:
+        InvalidInput: A minimum is above its maximum.
+    """
+
+    encoder: str = one_of(ENCODERS, "spatial")
+    min_goal_steps: int = bounded(5, least=1, most=1000)
+    max_goal_steps: int = bounded(15, least=1, most=1000)
+    close_steps: int = bounded(2, least=1, most=1000)
+    far_steps: int = bounded(15, least=1, most=10_000)
+    steps: int = bounded(300, least=1, most=10_000_000)
+    batch_size: int = bounded(24, least=1, most=1024)
+    lr: float = bounded(6e-3, least=1e-7, most=1.0)
+    features: int = bounded(128, least=8, most=1024)
+    hidden_size: int = bounded(128, least=8, most=1024)
+    embedding_size: int = bounded(64, least=2, most=1024)
+    evaluate_every: int = bounded(50, least=1, most=1_000_000)
+
+    def __post_init__(self) -> None:
+        for less, more in (("min_goal_steps", "max_goal_steps"), ("close_steps", "far_steps")):
+            if getattr(self, less) > getattr(self, more):
+                raise InvalidInput(
+                    f"`{less}` must not be above `{more}`; got {getattr(self, less)} and {getattr(self, more)}.",
+                    field=f"config.{less}",
+                )
