@@ -3,6 +3,7 @@
 import asyncio
 import hashlib
 import itertools
+import json
 import os
 import signal
 from collections.abc import AsyncIterator, Callable
@@ -81,6 +82,11 @@ class Running:
                 if event.run.step >= step:
                     return
 
+    def learned(self, run_id: str) -> list[dict[str, float]]:
+        """Returns the metrics of a run's iterations, without what takes its time or depends on who was killed."""
+        rows = map(json.loads, (self.data_dir / "runs" / run_id / "metrics.jsonl").read_text().splitlines())
+        return [{name: row[name] for name in row.keys() - {"steps_per_s", "recoveries", "rejected"}} for row in rows]
+
     async def policy(self, run_id: str) -> str:
         """Returns the sha256 of a run's policy artifact."""
         parts = [part.data async for part in self.client.get_artifact(GetArtifactRequest(run_id, POLICY))]
@@ -149,6 +155,7 @@ async def test_a_killed_ppo_run_ends_with_the_same_policy(
     running.kill(victim)
     ended = await running.end(run_id)
     assert (ended.state, ended.step) == ("succeeded", TINY["iterations"]), ended.error
+    assert running.learned(run_id) == running.learned(undisturbed)
     assert await running.policy(run_id) == await running.policy(undisturbed)
 
 
