@@ -25,8 +25,11 @@ from freerein.clients import Channel, RewardClient
 from freerein.types.reward import RewardRequest
 from freerein_reward import model as reward_model
 from freerein_reward.core import RewardModel
+from freerein_reward.methods.relation_captions.config import RewardConfig
+from freerein_reward.methods.relation_captions.losses import network_spec
 from freerein_reward.model import DualEncoder, DualEncoderSpec
-from freerein_reward.training import GroundingConfig, RewardConfig, network_spec, synthetic_objects
+from freerein_reward.training import synthetic_objects
+from freerein_reward.training.config import GroundingConfig
 
 _CAMERA, _GOAL = "front", "a red block on top of a yellow block"
 _PHRASES = ("a red block", "a green block", "a yellow block", "a blue block")

@@ -26,8 +26,8 @@ from experiments.workbench.configs import Config
 from experiments.workbench.pipelines import run_pipeline
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
+from freerein_reward.methods.relation_captions.config import RewardConfig
 from freerein_reward.model import DualEncoderModel
-from freerein_reward.training import RewardConfig
 from freerein_segmentation.training import SegmentationConfig
 
 AUGMENTATION: Mapping[str, float] = MappingProxyType({"augmented": 1.0, "plain": 0.0})

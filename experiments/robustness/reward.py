@@ -14,9 +14,10 @@ from experiments.robustness.worlds import CAMERA
 from experiments.workbench.locks import locked
 from freerein.atomic_files import write_atomic
 from freerein.errors import FailedPrecondition
+from freerein_reward.methods.relation_captions.caption_dataset import CaptionDataset, image_relations
+from freerein_reward.methods.relation_captions.config import RewardConfig
+from freerein_reward.methods.relation_captions.losses import RewardModelLearner, network_spec
 from freerein_reward.model import DualEncoderModel, GradCamModel, load_grounding, load_reward_model
-from freerein_reward.training import CaptionDataset, RewardConfig, RewardModelLearner, network_spec
-from freerein_reward.training.caption_dataset import image_relations
 
 COLOURS = ("red", "green", "yellow", "blue")
 PHRASES = tuple(f"a {colour} block" for colour in COLOURS)

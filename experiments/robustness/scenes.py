@@ -19,15 +19,15 @@ from experiments.robustness.reward import EPSILON, PHRASES, open_grounding
 from experiments.robustness.worlds import BLOCKS, CAMERA, NOMINAL, SCATTERED, conditions
 from experiments.workbench.results import Outcome, Sample
 from freerein.relations import SpatialRelation
-from freerein_reward.model import DualEncoderModel
-from freerein_reward.training.caption_dataset import (
+from freerein_reward.methods.relation_captions.caption_dataset import (
     ABSENT,
     CAPTIONS,
     flatten_pairs,
     ordered_pairs,
     pair_captions,
-    pairwise_relations,
 )
+from freerein_reward.model import DualEncoderModel
+from freerein_reward.model.phrase_relations import pairwise_relations
 from freerein_sim.worlds.tasks import tasks
 
 Labels = npt.NDArray[np.int64]

@@ -29,7 +29,7 @@ from experiments.workbench.results import ArmResult, Sample
 from freerein import metrics
 from freerein.goal_text import Grammar
 from freerein.relations import SpatialRelation
-from freerein_reward.training.caption_dataset import ABSENT
+from freerein_reward.methods.relation_captions.caption_dataset import ABSENT
 
 EXPERIMENT = registry.load("robustness")
 RNG = np.random.default_rng(0)

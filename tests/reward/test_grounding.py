@@ -12,7 +12,10 @@ from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward.methods import load
 from freerein_reward.model import KNOWN, DualEncoder, DualEncoderSpec, GradCamModel
-from freerein_reward.training import GroundingConfig, GroundingLearner, evaluate_known_phrases, synthetic_objects
+from freerein_reward.training import synthetic_objects
+from freerein_reward.training.config import GroundingConfig
+from freerein_reward.training.grounding_learner import GroundingLearner
+from freerein_reward.training.known_phrases import evaluate_known_phrases
 
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
 PHRASES = ("a red block", "a blue block", "a yellow block")

@@ -15,16 +15,11 @@ from freerein.model_store import ModelStore
 from freerein.relations import SpatialRelation
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_reward.methods import METHODS, load
+from freerein_reward.methods.relation_captions.caption_checks import accuracy_warnings, caption_warnings, check_shown
+from freerein_reward.methods.relation_captions.caption_dataset import CaptionDataset, caption_images
+from freerein_reward.methods.relation_captions.config import RewardConfig
 from freerein_reward.model import DualEncoderModel, GradCamModel, PhraseLocations, load_grounding
-from freerein_reward.training import (
-    CaptionDataset,
-    RewardConfig,
-    accuracy_warnings,
-    caption_images,
-    caption_warnings,
-    check_shown,
-)
-from freerein_reward.training.caption_dataset import NO_CAPTION
+from freerein_reward.model.phrase_relations import NO_CAPTION
 
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
 GROUNDING = ModelStore(SHIPPED).folder(ModelRef("grounding", ModelStore(SHIPPED).active_version("grounding")))

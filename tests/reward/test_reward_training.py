@@ -12,20 +12,25 @@ from freerein.learning.fit import fit
 from freerein.model_store import ModelStore
 from freerein.relations import SpatialRelation, caption
 from freerein.types.common import ModelRef
-from freerein_reward import objectives
-from freerein_reward.model import DualEncoder, DualEncoderModel, DualEncoderSpec, GradCamModel, load_grounding
-from freerein_reward.training import CaptionDataset, RewardConfig, RewardModelLearner, evaluate_reward, network_spec
-from freerein_reward.training.caption_dataset import (
+from freerein_reward.methods.relation_captions.caption_dataset import (
     ABSENT,
     CAPTIONS,
-    NO_CAPTION,
+    CaptionDataset,
     image_relations,
     pair_captions,
     pairwise_absences,
-    pairwise_relations,
 )
-from freerein_reward.training.evaluation import pair_majority_accuracy
-from freerein_reward.training.reward_model_learner import naming_loss
+from freerein_reward.methods.relation_captions.config import RewardConfig
+from freerein_reward.methods.relation_captions.evaluation import evaluate_reward, pair_majority_accuracy
+from freerein_reward.methods.relation_captions.losses import (
+    RewardModelLearner,
+    naming_loss,
+    network_spec,
+    relation_cross_entropy,
+)
+from freerein_reward.model import DualEncoder, DualEncoderModel, DualEncoderSpec, GradCamModel, load_grounding
+from freerein_reward.model.phrase_relations import NO_CAPTION, pairwise_relations
+from freerein_reward.training.grounding_learner import contrastive_loss, multi_positive_cross_entropy
 
 CPU = torch.device("cpu")
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
@@ -255,17 +260,15 @@ def test_a_dataset_that_cannot_be_split_or_tells_nothing_is_refused() -> None:
 def test_equal_captions_are_never_each_others_negatives() -> None:
     scores = torch.tensor([[9.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
     positives = torch.tensor([[True, False], [True, False], [False, True]])
-    assert objectives.contrastive_loss(scores, positives).item() < 0.5
-    assert objectives.multi_positive_cross_entropy(scores.T[:1], positives.T[:1]).item() == pytest.approx(
-        np.log(2), abs=1e-3
-    )
+    assert contrastive_loss(scores, positives).item() < 0.5
+    assert multi_positive_cross_entropy(scores.T[:1], positives.T[:1]).item() == pytest.approx(np.log(2), abs=1e-3)
 
 
 def test_relation_cross_entropy_counts_only_pairs_with_captions() -> None:
     scores = torch.zeros(3, 1, CAPTIONS)
     scores[0, 0, SpatialRelation.BELOW] = scores[1, 0, ABSENT] = 50.0
     told = torch.tensor([[int(SpatialRelation.BELOW)], [ABSENT], [NO_CAPTION]])
-    assert objectives.relation_cross_entropy(scores, told).item() == pytest.approx(0.0, abs=1e-6)
+    assert relation_cross_entropy(scores, told).item() == pytest.approx(0.0, abs=1e-6)
     told[2] = ABSENT
-    assert objectives.relation_cross_entropy(scores, told).item() == pytest.approx(np.log(CAPTIONS) / 3, abs=1e-6)
-    assert objectives.relation_cross_entropy(scores, torch.full((3, 1), NO_CAPTION)).item() == 0.0
+    assert relation_cross_entropy(scores, told).item() == pytest.approx(np.log(CAPTIONS) / 3, abs=1e-6)
+    assert relation_cross_entropy(scores, torch.full((3, 1), NO_CAPTION)).item() == 0.0

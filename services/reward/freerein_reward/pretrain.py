@@ -16,12 +16,10 @@ from freerein.learning.fit import FitEvent, FitResult, fit_and_save
 from freerein.learning.model_files import choose_device, save_model
 from freerein.model_store import ModelStore
 from freerein_reward.model import GROUNDING, DualEncoder, GradCamModel
-from freerein_reward.training import (
-    GroundingConfig,
-    GroundingLearner,
-    evaluate_grounding,
-    evaluate_known_phrases,
-)
+from freerein_reward.training.config import GroundingConfig
+from freerein_reward.training.evaluation import evaluate_grounding
+from freerein_reward.training.grounding_learner import GroundingLearner
+from freerein_reward.training.known_phrases import evaluate_known_phrases
 
 _LIMITS = (
     "It names things by colour: see `names`. It tells shapes badly (`shape_accuracy`, `known_shapes`), and knows no "

@@ -30,7 +30,7 @@ from freerein_reward.core import inputs
 from freerein_reward.core.inference import GroundItem, InferenceBatcher
 from freerein_reward.core.models import GroundingModel, RewardModel, wrong_kind
 from freerein_reward.model import GROUNDING, KNOWN, PhraseLocations
-from freerein_reward.training.caption_dataset import NO_CAPTION, pairwise_relations
+from freerein_reward.model.phrase_relations import NO_CAPTION, pairwise_relations
 
 DEFAULT_EPSILON = 0.1
 MAX_EPSILON = 0.5

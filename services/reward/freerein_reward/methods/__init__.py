@@ -7,10 +7,12 @@ from pathlib import Path
 from types import MappingProxyType
 
 from freerein.learning.methods import Methods
-from freerein_reward.methods.relation_captions import RELATION_CAPTIONS
+from freerein_reward.methods import relation_captions
 from freerein_reward.model import DualEncoderModel, is_grounding, load_grounding
 
-METHODS: Methods[DualEncoderModel] = Methods("reward", MappingProxyType({"relation_captions": RELATION_CAPTIONS}))
+METHODS: Methods[DualEncoderModel] = Methods(
+    "reward", MappingProxyType({"relation_captions": relation_captions.METHOD})
+)
 
 
 def load(folder: Path, device: str) -> DualEncoderModel:

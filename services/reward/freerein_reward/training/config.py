@@ -1,9 +1,9 @@
-"""Configurations of the two kinds of fits."""
+"""Configuration of the grounding model's training."""
 
 from dataclasses import dataclass
 
 from freerein.config import bounded
-from freerein.learning.fit_config import DatasetFitConfig, FitConfig
+from freerein.learning.fit_config import FitConfig
 
 
 @dataclass(frozen=True)
@@ -29,29 +29,3 @@ class GroundingConfig(FitConfig):
     depth: int = bounded(1, least=1, most=8)
     embedding_dim: int = bounded(64, least=8, most=1024)
     evaluate_every: int = bounded(200, least=1, most=1_000_000)
-
-
-@dataclass(frozen=True)
-class RewardConfig(DatasetFitConfig):
-    """Configuration of a reward model's fit.
-
-    Attributes:
-        phrases: Noun phrases of the goal texts, 2 to 16, which must be given; located in frames of the first camera.
-        epsilon: Object width as a fraction of the image width: eps of table 4.1.
-        min_presence: Presence probability from which a phrase appears in captions; below 1 minus it, it is missing.
-        batch_size: Images per optimiser step.
-        augmentation: Strength of the camera augmentation; 0 for none.
-        hidden_size: Units of each of the two hidden layers of the relation pooling.
-        embedding_dim: Dimension of a pair's embedding.
-    """
-
-    phrases: tuple[str, ...] = ()
-    epsilon: float = bounded(0.1, least=0.001, most=0.5)
-    min_presence: float = bounded(0.95, least=0.55, most=1.0)
-    steps: int = bounded(1000, least=1, most=10_000_000)
-    batch_size: int = bounded(128, least=2, most=4096)
-    lr: float = bounded(3e-3, least=1e-7, most=1.0)
-    warmup_steps: int = bounded(50, least=1, most=1_000_000)
-    augmentation: float = bounded(1.0, least=0.0, most=1.0)
-    hidden_size: int = bounded(64, least=1, most=4096)
-    embedding_dim: int = bounded(16, least=4, most=64)

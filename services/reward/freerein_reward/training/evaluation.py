@@ -1,4 +1,4 @@
-"""Calibration and evaluation of trained dual encoders on validation data."""
+"""Calibration and evaluation of the grounding model on validation images."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,11 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from freerein.relations import SpatialRelation
 from freerein_reward.model import DualEncoder, contrast_texts
 from freerein_reward.training import synthetic_objects
-from freerein_reward.training.caption_dataset import ABSENT, NO_CAPTION, CaptionDataset, flatten_pairs
-from freerein_reward.training.reward_model_learner import caption_scores
 
 if TYPE_CHECKING:
     from freerein_reward.training.grounding_learner import GroundingLearner
@@ -20,38 +17,6 @@ if TYPE_CHECKING:
 _COLOURS_PER_QUERY = 4
 _QUERIES = 10
 _THRESHOLDS = 200
-
-
-def evaluate_reward(network: DualEncoder, dataset: CaptionDataset) -> dict[str, float]:
-    """Returns the accuracy of relations against the grounding model's captions, and precision and recall of each.
-
-    `majority_accuracy` is that of always saying the most frequent relation of each ordered pair.
-
-    Captions come from the grounding model, so that this is agreement with it, not ground truth.
-    """
-    targets = flatten_pairs(dataset.relations)  # (N, pairs)
-    has_caption = targets != NO_CAPTION
-    targets, predictions = targets[has_caption], caption_scores(network, dataset).argmax(dim=2).numpy()[has_caption]
-    figures = {
-        "relation_accuracy": float((predictions == targets)[targets != ABSENT].mean()),
-        "majority_accuracy": pair_majority_accuracy(flatten_pairs(dataset.relations)),
-        "absence_accuracy": float(((predictions == ABSENT) == (targets == ABSENT)).mean()),
-    }
-    for relation in SpatialRelation:
-        true_positives = float(((predictions == relation) & (targets == relation)).sum())
-        name = relation.name.lower()
-        figures[f"{name}.precision"] = true_positives / max(1, int((predictions == relation).sum()))
-        figures[f"{name}.recall"] = true_positives / max(1, int((targets == relation).sum()))
-    return figures
-
-
-def pair_majority_accuracy(relations: npt.NDArray[np.int64]) -> float:
-    """Returns the accuracy of always saying the most frequent relation of each ordered pair, of relations (N, pairs).
-
-    A pair and its reverse have mirrored relations, so that one answer for all pairs would be a weak guess.
-    """
-    counts = (relations[:, :, None] == np.array(SpatialRelation)).sum(axis=0)  # (pairs, relations)
-    return float(counts.max(axis=1).sum() / counts.sum())
 
 
 def calibrate_presence(network: DualEncoder, learner: "GroundingLearner") -> None:

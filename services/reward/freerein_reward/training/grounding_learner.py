@@ -13,7 +13,6 @@ from freerein.learning import weights
 from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein_reward.model import DualEncoder, DualEncoderSpec, channels_last
-from freerein_reward.objectives import contrastive_loss
 from freerein_reward.training import synthetic_objects
 from freerein_reward.training.config import GroundingConfig
 from freerein_reward.training.evaluation import calibrate_presence
@@ -120,3 +119,23 @@ def _loss(network: DualEncoder, batch: ObjectBatch) -> Tensor:
     cosines = (functional.normalize(each, dim=1) @ texts for each in embeddings)  # (N, K)
     attention_loss, mean_loss = (contrastive_loss(network.temperature(each), batch.positives) for each in cosines)
     return (attention_loss + mean_loss) / 2
+
+
+def contrastive_loss(scores: Tensor, positives: Tensor) -> Tensor:
+    """Returns CLIP's symmetric loss with several positives each (SupCon), a scalar.
+
+    Equal captions of a batch must be one column, so that they are not each other's negatives.
+
+    Args:
+        scores: Scaled similarities of images (rows) and texts (columns), float (N, K).
+        positives: Whether a text is true of an image, bool (N, K).
+    """
+    return 0.5 * (multi_positive_cross_entropy(scores, positives) + multi_positive_cross_entropy(scores.T, positives.T))
+
+
+def multi_positive_cross_entropy(scores: Tensor, positives: Tensor) -> Tensor:
+    """Returns the mean cross-entropy with a uniform target over each row's positives; rows without are ignored."""
+    log_probabilities = scores.log_softmax(dim=1)  # (N, K)
+    counts = positives.sum(dim=1)  # (N,)
+    losses = -log_probabilities.where(positives, 0.0).sum(dim=1) / counts.clamp(min=1)  # (N,)
+    return losses.sum() / (counts > 0).sum().clamp(min=1)

@@ -16,13 +16,11 @@ from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import tensor_files
 from freerein.learning.augmentation import augment_camera
 from freerein.learning.split import train_validation_split
-from freerein.relations import SpatialRelation, absence_caption, caption, classify_relation
+from freerein.relations import SpatialRelation, absence_caption, caption
+from freerein_reward.methods.relation_captions.config import RewardConfig
+from freerein_reward.methods.relation_captions.presence import alone_in_place, presence_in_dataset
 from freerein_reward.model import GradCamModel, preprocess
-from freerein_reward.training.config import RewardConfig
-from freerein_reward.training.presence import alone_in_place, presence_in_dataset
-
-NO_CAPTION = -1
-"""Instead of a relation: no caption mentions this pair, because it is not sure that the image shows both."""
+from freerein_reward.model.phrase_relations import NO_CAPTION, pairwise_relations
 
 ABSENT = len(SpatialRelation)
 """Instead of a relation: one of the two is surely missing."""
@@ -136,19 +134,6 @@ def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConf
 def ordered_pairs(count: int) -> npt.NDArray[np.int64]:
     """Returns every ordered pair of `count` phrases, int64 (pairs, 2)."""
     return np.array(list(permutations(range(count), 2)), np.int64)
-
-
-def pairwise_relations(
-    x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], is_shown: npt.NDArray[np.bool_], *, epsilon: float
-) -> npt.NDArray[np.int8]:
-    """Returns the relation of each ordered pair by table 4.1, int8 (N, P, P), `NO_CAPTION` where one is not shown.
-
-    Positions (N, P), x to the right, y down, have the unit of `epsilon`, the object width; `is_shown` is bool (N, P).
-    """
-    positions = np.stack([x, y], axis=-1)  # (N, P, 2)
-    relations = classify_relation(positions[:, :, None], positions[:, None], epsilon=epsilon)  # (N, P, P)
-    both = is_shown[:, :, None] & is_shown[:, None] & ~np.eye(x.shape[1], dtype=bool)
-    return np.where(both, relations, NO_CAPTION).astype(np.int8)
 
 
 def pairwise_absences(presence: npt.NDArray[np.float64], *, least: float) -> npt.NDArray[np.bool_]:

@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein.relations import CANONICAL_WORDINGS, SpatialRelation
+from freerein_reward.methods.relation_captions.caption_dataset import CaptionDataset
 from freerein_reward.model import GradCamModel
-from freerein_reward.training.caption_dataset import CaptionDataset
 
 _SAMPLE = 256
 """Images that are searched for a phrase."""

@@ -1,4 +1,4 @@
-"""The method `relation_captions`: a dual encoder trained on captions of the grounding model (section 4.2)."""
+"""The method `relation_captions`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,17 +13,12 @@ from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
 from freerein.learning.split import train_validation_split
+from freerein_reward.methods.relation_captions.caption_checks import accuracy_warnings, caption_warnings, check_shown
+from freerein_reward.methods.relation_captions.caption_dataset import caption_images
+from freerein_reward.methods.relation_captions.config import RewardConfig
+from freerein_reward.methods.relation_captions.evaluation import evaluate_reward
+from freerein_reward.methods.relation_captions.losses import RewardModelLearner, network_spec
 from freerein_reward.model import KNOWN, DualEncoder, GradCamModel, load_grounding, load_reward_model
-from freerein_reward.training import (
-    RewardConfig,
-    RewardModelLearner,
-    accuracy_warnings,
-    caption_images,
-    caption_warnings,
-    check_shown,
-    evaluate_reward,
-    network_spec,
-)
 
 _MAX_PHRASES = 16  # captions grow with the square, and the memory of their embeddings with the fourth power
 
@@ -91,7 +86,7 @@ def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[Dua
     }
 
 
-RELATION_CAPTIONS = Method(
+METHOD = Method(
     RewardConfig,
     _check,
     _prepare,

@@ -14,16 +14,15 @@ from freerein.learning.augmentation import agreement, delayed
 from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
-from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last, view_statistics
-from freerein_reward.objectives import relation_cross_entropy
-from freerein_reward.training.caption_dataset import (
+from freerein_reward.methods.relation_captions.caption_dataset import (
     CAPTIONS,
     CaptionDataset,
     flatten_pairs,
     ordered_pairs,
     pair_captions,
 )
-from freerein_reward.training.config import RewardConfig
+from freerein_reward.methods.relation_captions.config import RewardConfig
+from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last, view_statistics
 
 State = TrainState[DualEncoder]
 
@@ -170,3 +169,14 @@ def _scores(network: DualEncoder, views: Tensor, phrases: Sequence[str]) -> Tens
 def _stacked_views(dataset: CaptionDataset) -> Tensor:
     """Returns uint8 (N, V, H, W, 3)."""
     return torch.from_numpy(np.stack(dataset.views, axis=1))
+
+
+def relation_cross_entropy(scores: Tensor, relations: Tensor) -> Tensor:
+    """Returns the mean cross-entropy of each pair's relation among rival captions, which is what the reward decides.
+
+    Args:
+        scores: float (N, pairs, R), score of the caption with each relation.
+        relations: int64 (N, pairs), true relation; -1 where the image has no caption of the pair.
+    """
+    loss = functional.cross_entropy(scores.flatten(end_dim=1), relations.flatten(), ignore_index=-1, reduction="sum")
+    return loss / (relations >= 0).sum().clamp(min=1)
