@@ -1,6 +1,9 @@
 # Targets install what they need into .venv first.
 BIN := .venv/bin
 
+# Where a shell sets it, hundreds of processes would each compile the same modules.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help setup dev demo check test test-long bench tables robustness fuzz soak mutants compat stubs stubs-fresh fmt
 
