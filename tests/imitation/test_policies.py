@@ -14,6 +14,7 @@ from torch import nn
 
 from freerein.errors import InvalidInput
 from freerein.learning import model_files, weights
+from freerein.learning.encoders import FrameTensors
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.inputs import InputSpec
 from freerein.types.common import ActionSpec, Camera
@@ -26,6 +27,7 @@ from freerein_imitation.methods.skill_cloning.policy import SkillCloningPolicy
 from freerein_imitation.methods.skills.network import SkillsNetwork, SkillsSpec
 from freerein_imitation.methods.skills.policy import SkillsPolicy
 from freerein_imitation.model.policy import CameraFrames, ControlSpec
+from freerein_imitation.model.torch_policy import N
 
 INPUTS: dict[str, Any] = {"cameras": (Camera("front", 24, 20, 3),), "action": ActionSpec(2, 0, ("dy", "dz"))}
 GOALS = GoalConditionedSpec(**INPUTS, features=16, hidden_size=12)
@@ -53,37 +55,29 @@ def tensors(frames: CameraFrames) -> dict[str, torch.Tensor]:
     return {camera: torch.from_numpy(each) for camera, each in frames.items()}
 
 
-def goal_network(spec: GoalConditionedSpec) -> GoalConditionedNetwork:
-    made, generator = GoalConditionedNetwork(spec), torch.Generator().manual_seed(0)
+def untrained(made: N, fit_normalisation: Callable[[FrameTensors, torch.Generator], None]) -> N:
+    """Returns a network with weights and normalisation as before a fit, and an in-distribution score."""
+    generator, frames = torch.Generator().manual_seed(0), tensors(images(made.spec, 8))
     weights.initialise(made, generator=generator)
-    frames = tensors(images(spec, 8))
-    made.fit_normalisation(frames, generator=generator)
-    made.in_distribution.fit(
-        image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8), trajectories=8
-    )
+    fit_normalisation(frames, generator)
+    seen = image_statistics(frames)
+    made.in_distribution.fit(seen, seen, torch.linspace(0.5, 1, 8), trajectories=8)
     return made
+
+
+def goal_network(spec: GoalConditionedSpec) -> GoalConditionedNetwork:
+    made = GoalConditionedNetwork(spec)
+    return untrained(made, lambda frames, generator: made.fit_normalisation(frames, generator=generator))
 
 
 def skills_network(spec: SkillsSpec) -> SkillsNetwork:
-    made, generator = SkillsNetwork(spec), torch.Generator().manual_seed(0)
-    weights.initialise(made, generator=generator)
-    frames = tensors(images(spec, 8))
-    made.fit_normalisation(frames, torch.ones(1, spec.action.size))
-    made.in_distribution.fit(
-        image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8), trajectories=8
-    )
-    return made
+    made = SkillsNetwork(spec)
+    return untrained(made, lambda frames, _generator: made.fit_normalisation(frames, torch.ones(1, spec.action.size)))
 
 
 def cloned_network(spec: SkillCloningSpec) -> SkillCloningNetwork:
-    made, generator = SkillCloningNetwork(spec), torch.Generator().manual_seed(0)
-    weights.initialise(made, generator=generator)
-    frames = tensors(images(spec, 8))
-    made.fit_normalisation(frames, torch.linspace(-1, 1, 8)[:, None].repeat(1, spec.action.size), generator=generator)
-    made.in_distribution.fit(
-        image_statistics(frames), image_statistics(frames), torch.linspace(0.5, 1, 8), trajectories=8
-    )
-    return made
+    made, actions = SkillCloningNetwork(spec), torch.linspace(-1, 1, 8)[:, None].repeat(1, spec.action.size)
+    return untrained(made, lambda frames, generator: made.fit_normalisation(frames, actions, generator=generator))
 
 
 @dataclass(frozen=True)

@@ -59,10 +59,6 @@ class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):
     """Takes the most likely action, and holds it for as many control steps as in training.
 
     Its recurrent state is that of the LSTM, the action that is held, and for how many control steps it has been.
-
-    Args:
-        network: Trained.
-        control: Rate and limits.
     """
 
     def __init__(self, network: PPOPolicyNetwork, control: ControlSpec) -> None:

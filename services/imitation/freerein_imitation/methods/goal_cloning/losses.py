@@ -33,11 +33,10 @@ from freerein_imitation.methods.goal_cloning.positive_unlabelled import positive
 from freerein_imitation.methods.shared import action_bins
 from freerein_imitation.methods.shared.frame_features import (
     encode_trajectory,
-    sampled_statistics,
+    fit_in_distribution,
     trajectory_statistics,
 )
 from freerein_imitation.methods.shared.losses import action_cross_entropy
-from freerein_imitation.model.torch_policy import confidence
 
 _NORMALISATION_FRAMES = 1500
 _EVALUATION_WINDOWS = 96
@@ -123,10 +122,7 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
         for each in features:
             ahead = np.arange(len(each)) + rng.integers(1, config.far_steps, len(each), endpoint=True)
             reached.append(recognizer(each, each[np.minimum(ahead, len(each) - 1)]))
-        held_out = trajectory_statistics(self.validation).to(self.device)
-        known = sampled_statistics(self.training).to(self.device)
-        trajectories = len(self.validation)
-        network.in_distribution.fit(known, held_out, confidence(torch.cat(reached)), trajectories=trajectories)
+        fit_in_distribution(network, self.training, self.validation, torch.cat(reached), self.device)
 
     def _validation_batches(self, rng: np.random.Generator) -> list[GoalWindows]:
         items = self.validation.windows(window_steps(self.config.max_goal_steps))

@@ -14,10 +14,6 @@ class GoalCloningPolicy(TorchPolicy[GoalCloningNetwork]):
     """Follows goal images. Its recurrent state is the features of the last observation; zeros for none.
 
     Training saw the observation one control step earlier, or none. One from longer ago counts as none.
-
-    Args:
-        network: Trained.
-        control: Rate and limits.
     """
 
     def __init__(self, network: GoalCloningNetwork, control: ControlSpec) -> None:

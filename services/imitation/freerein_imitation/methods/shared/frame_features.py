@@ -1,4 +1,4 @@
-"""Features, and image statistics, of many frames."""
+"""Features, and image statistics, of many frames; and the in-distribution score that is fitted to them."""
 
 import sys
 
@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.trajectories import Trajectories
+from freerein_imitation.model.torch_policy import PolicyNetwork, confidence
 
 _ENCODE_BATCH = 256
 
@@ -41,3 +42,14 @@ def trajectory_statistics(trajectories: Trajectories) -> Tensor:
             for item in range(len(trajectories))
         ]
     )
+
+
+def fit_in_distribution(
+    network: PolicyNetwork, training: Trajectories, validation: Trajectories, reached: Tensor, device: torch.device
+) -> None:
+    """Fits a network's in-distribution score, to some training frames and to all held-out ones.
+
+    `reached`, float32 (N,), are the probabilities that each held-out frame is at its goal.
+    """
+    known, held_out = sampled_statistics(training).to(device), trajectory_statistics(validation).to(device)
+    network.in_distribution.fit(known, held_out, confidence(reached), trajectories=len(validation))

@@ -13,12 +13,7 @@ from freerein_imitation.model.torch_policy import StepInputs, StepOutputs
 
 
 class SkillCloningPolicy(SkillPolicy[SkillCloningNetwork]):
-    """Executes skills by name. Its recurrent state is a `Memory`, which outlasts a skill: the robot moves on.
-
-    Args:
-        network: Trained.
-        control: Rate and limits.
-    """
+    """Executes skills by name. Its recurrent state is a `Memory`, which outlasts a skill: the robot moves on."""
 
     def __init__(self, network: SkillCloningNetwork, control: ControlSpec) -> None:
         spec = network.spec

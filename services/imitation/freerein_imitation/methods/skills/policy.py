@@ -11,12 +11,7 @@ _STATE = 3  # x and y of the chosen place, and 1 once it is chosen
 
 
 class SkillsPolicy(SkillPolicy[SkillsNetwork]):
-    """Executes skills by name. Where a skill puts its object is chosen when it begins, and kept as recurrent state.
-
-    Args:
-        network: Trained.
-        control: Rate and limits.
-    """
+    """Executes skills by name. Where a skill puts its object is chosen when it begins, and kept as recurrent state."""
 
     def __init__(self, network: SkillsNetwork, control: ControlSpec) -> None:
         spec = network.spec

@@ -16,11 +16,7 @@ from freerein.learning import weights
 from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
-from freerein_imitation.methods.shared.frame_features import (
-    encode_trajectory,
-    sampled_statistics,
-    trajectory_statistics,
-)
+from freerein_imitation.methods.shared.frame_features import encode_trajectory, fit_in_distribution
 from freerein_imitation.methods.shared.goal_images.config import GoalImagesConfig
 from freerein_imitation.methods.shared.goal_images.network import (
     GoalImagesNetwork,
@@ -34,7 +30,6 @@ from freerein_imitation.methods.shared.goal_images.relabelling import (
     sample_slices,
 )
 from freerein_imitation.methods.shared.losses import masked_mean
-from freerein_imitation.model.torch_policy import confidence
 
 N = TypeVar("N", bound=GoalImagesNetwork)
 
@@ -111,10 +106,7 @@ class GoalImagesLearner(Learner[N]):
             ahead = np.arange(length) + rng.integers(1, self.config.far_steps, length, endpoint=True)
             goals = embeddings[np.minimum(ahead, length - 1)]
             reached.append(proximity_logit(embeddings, goals).sigmoid())  # (T,)
-        held_out = trajectory_statistics(self.validation).to(self.device)
-        known = sampled_statistics(self.training).to(self.device)
-        trajectories = len(self.validation)
-        network.in_distribution.fit(known, held_out, confidence(torch.cat(reached)), trajectories=trajectories)
+        fit_in_distribution(network, self.training, self.validation, torch.cat(reached), self.device)
 
     def _slices(self, trajectories: Trajectories, items: Sequence[int], rng: np.random.Generator) -> RelabelledSlices:
         """Returns slices of random windows of some trajectories."""

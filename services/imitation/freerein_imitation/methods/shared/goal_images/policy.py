@@ -17,10 +17,6 @@ class GoalImagesPolicy(TorchPolicy[GoalImagesNetwork]):
 
     A recurrent network moves on once per observation. Its training saw one of every control step, so it acts best where
     it observes each; of steps that it did not see it is told no more than the last action.
-
-    Args:
-        network: Trained.
-        control: Rate and limits.
     """
 
     def __init__(self, network: GoalImagesNetwork, control: ControlSpec) -> None:
