@@ -11,7 +11,6 @@ import torch
 from freerein import metrics
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.errors import InvalidInput
-from freerein.learning import model_files, weights
 from freerein.learning.fit import fit
 from freerein.learning.inputs import spec_of
 from freerein.learning.trajectories import Trajectories
@@ -266,25 +265,6 @@ def test_discrete_actions_are_learned_from_without_odometry() -> None:
     step = policy.step(frames, policy.encode_goals(frames), np.full((3, 1), -1), recurrent)
     assert (step.actions.shape, step.actions.dtype) == ((3, 1, 1), np.int64)
     assert ((step.reached >= 0) & (step.reached <= 1)).all()
-
-
-def test_a_model_on_disk_acts_as_it_did(trained: GoalCloningNetwork, tmp_path: Path) -> None:
-    model_files.save_model(trained, tmp_path, card={"method": "goal_cloning", **CONTROL.to_card()})
-    before, after = GoalCloningPolicy(trained, CONTROL), METHODS.load(tmp_path, "cpu")
-    assert (type(after), after.spec) == (GoalCloningPolicy, before.spec)
-    frames = {"front": explore(1, seed=5).frames["front"][0]}
-    outputs = [each.step(frames, each.encode_goals(frames), *_nothing(before, 40)) for each in (before, after)]
-    for name in ("actions", "reached", "recurrent", "in_distribution"):
-        np.testing.assert_array_equal(getattr(outputs[0], name), getattr(outputs[1], name))
-
-
-def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
-    def digest(name: str, seed: int) -> str:
-        fitted = fit(learner(replace(FAST, steps=2, seed=seed), count=6), tmp_path / name)
-        assert fitted is not None
-        return weights.sha256(fitted.network)
-
-    assert digest("first", 0) == digest("again", 0) != digest("other", 1)
 
 
 def test_a_configuration_is_read_strictly() -> None:

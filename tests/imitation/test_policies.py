@@ -19,6 +19,8 @@ from freerein.learning.image_statistics import image_statistics
 from freerein.learning.inputs import InputSpec
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods import METHODS
+from freerein_imitation.methods.goal_cloning.network import GoalCloningNetwork, GoalCloningSpec
+from freerein_imitation.methods.goal_cloning.policy import GoalCloningPolicy
 from freerein_imitation.methods.goal_conditioned.network import GoalConditionedNetwork, GoalConditionedSpec
 from freerein_imitation.methods.shared import action_bins
 from freerein_imitation.methods.shared.goal_images.policy import GoalImagesPolicy
@@ -31,6 +33,7 @@ from freerein_imitation.model.torch_policy import N
 
 INPUTS: dict[str, Any] = {"cameras": (Camera("front", 24, 20, 3),), "action": ActionSpec(2, 0, ("dy", "dz"))}
 GOALS = GoalConditionedSpec(**INPUTS, features=16, hidden_size=12)
+GOAL_CLONING = GoalCloningSpec(**INPUTS, features=16, hidden_size=12)
 SKILLS = SkillsSpec(**INPUTS, skills=("pick", "push"), hidden_size=16)
 CLONED = SkillCloningSpec(
     **INPUTS, skills=("pick", "push"), features=16, hidden_size=12, memory=2, past_actions=1, chunk=3
@@ -80,6 +83,11 @@ def cloned_network(spec: SkillCloningSpec) -> SkillCloningNetwork:
     return untrained(made, lambda frames, generator: made.fit_normalisation(frames, actions, generator=generator))
 
 
+def goal_cloning_network(spec: GoalCloningSpec) -> GoalCloningNetwork:
+    made = GoalCloningNetwork(spec)
+    return untrained(made, lambda frames, generator: made.encoder.fit_normalisation(frames, generator=generator))
+
+
 @dataclass(frozen=True)
 class Case:
     """A kind of policy with untrained weights.
@@ -117,6 +125,10 @@ def goal_case(spec: GoalConditionedSpec) -> Case:
     return Case(spec, goal_network, GoalImagesPolicy, "goal_conditioned", goal_images)
 
 
+def goal_cloning_case(spec: GoalCloningSpec) -> Case:
+    return Case(spec, goal_cloning_network, GoalCloningPolicy, "goal_cloning", goal_images)
+
+
 def skills_case(spec: SkillsSpec) -> Case:
     return Case(spec, skills_network, SkillsPolicy, "skills", skill_names)
 
@@ -129,6 +141,8 @@ CASES = {
     "goals": goal_case(GOALS),
     "goals-discrete": goal_case(replace(GOALS, **DISCRETE)),
     "goals-two-cameras": goal_case(replace(GOALS, **TWO, encoder="convolutional")),
+    "goal-cloning": goal_cloning_case(GOAL_CLONING),
+    "goal-cloning-discrete": goal_cloning_case(replace(GOAL_CLONING, **DISCRETE)),
     "skills": skills_case(SKILLS),
     "skills-gripper": skills_case(replace(SKILLS, action=ActionSpec(3, 0, ("dy", "dz", "gripper")))),
     "cloned": cloned_case(CLONED),

@@ -60,13 +60,13 @@ STAGES = {"forward_consistency_weight": 0.1, "forward_pretraining_steps": 3, "po
     ],
     ids=["goal_conditioned", "goal_cloning", "inverse_model", "skills", "skill_cloning"],
 )
-def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits_and_another_seed_gives_others(
     method: str, change: dict[str, Any], cuts: list[int], source: FitDataset, tmp_path: Path
 ) -> None:
-    def run(folder: Path, stop: Callable[[], bool] = lambda: False) -> str:
+    def run(folder: Path, stop: Callable[[], bool] = lambda: False, seed: int = 0) -> str:
         """Fits with a learner of its own; returns the sha256 of the best weights, calibrated."""
         chosen = METHODS.by_name[method]
-        config = parse(chosen.config, {**TINY, **change, "cameras": ("front",)})
+        config = parse(chosen.config, {**TINY, **change, "cameras": ("front",), "seed": seed})
         learner = chosen.prepare(source, config, torch.device("cpu"))
         fitted = fit(learner, folder, stop=stop)
         if fitted is None:
@@ -76,6 +76,7 @@ def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(
         return weights.sha256(fitted.network) + (folder / "metrics.jsonl").read_text()
 
     whole = run(tmp_path / "whole")
+    assert run(tmp_path / "other", seed=1)[:64] != whole[:64]
     for cut in cuts:
         asked = iter(range(cut + 1))
         assert run(tmp_path / f"cut-{cut}", stop=lambda asked=asked, cut=cut: next(asked) == cut) == ""  # type: ignore[misc]
