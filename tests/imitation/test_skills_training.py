@@ -12,7 +12,13 @@ from freerein.learning.inputs import spec_of
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.segmentation import FLAGGED
-from freerein_imitation.methods.shared.skill_segments import SkillSegment, find_segments, match_tags, split_segments
+from freerein_imitation.methods.shared.skill_segments import (
+    SkillSegment,
+    find_segments,
+    generous_limit,
+    match_tags,
+    split_segments,
+)
 from freerein_imitation.methods.skills.config import SkillsConfig
 from freerein_imitation.methods.skills.losses import SkillsLearner
 from freerein_imitation.methods.skills.network import SkillsSpec
@@ -91,7 +97,7 @@ def policy_of(config: SkillsConfig, folder: Path) -> SkillsPolicy:
     fitted = fit(cloned, folder)
     assert fitted is not None
     cloned.calibrate(fitted.network)
-    return SkillsPolicy(fitted.network, ControlSpec(0.1, 0.5, cloned.max_steps_per_skill))
+    return SkillsPolicy(fitted.network, ControlSpec(0.1, 0.5, generous_limit(cloned.segments)))
 
 
 @pytest.fixture(scope="module")

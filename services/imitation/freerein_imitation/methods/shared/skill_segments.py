@@ -1,5 +1,6 @@
 """Segments of demonstrations with one predicted skill label."""
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -9,6 +10,8 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein.learning.split import train_validation_split
+
+_LIMIT_FACTOR, _LIMIT_PERCENTILE = 1.5, 95
 
 Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
@@ -47,6 +50,12 @@ def find_segments(labels: Sequence[Ints], *, min_steps: int) -> list[SkillSegmen
             if each[start] >= 0 and stop - start >= min_steps
         ]
     return found
+
+
+def generous_limit(segments: Sequence[SkillSegment]) -> int:
+    """Returns the control steps after which a skill is abandoned: 1.5 times the 95th percentile of segment lengths."""
+    lengths = [each.stop - each.start for each in segments]
+    return math.ceil(_LIMIT_FACTOR * float(np.percentile(lengths, _LIMIT_PERCENTILE)))
 
 
 def match_tags(segments: Sequence[SkillSegment], tags: Sequence[Collection[int]]) -> list[SkillSegment]:

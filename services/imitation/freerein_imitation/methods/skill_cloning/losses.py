@@ -26,6 +26,7 @@ from freerein_imitation.methods.shared.skill_segments import (
     Ints,
     SkillSegment,
     find_segments,
+    generous_limit,
     keep_tagged,
     split_segments,
 )
@@ -38,7 +39,6 @@ State = TrainState[SkillCloningNetwork]
 
 _NORMALISATION_FRAMES = 800
 _EVALUATED_SPANS = 120
-_LIMIT_FACTOR, _LIMIT_PERCENTILE = 1.5, 95
 _BUDGET_PERCENTILE = 75
 _NO_MEMORY = 0.1
 """Share of spans without earlier frames, as at the start of an episode."""
@@ -122,15 +122,13 @@ class SkillCloningLearner(Learner[SkillCloningNetwork]):
     def step_limits(self) -> tuple[int, ...]:
         """Returns, by skill, the control steps after which it is over, from the lengths of training segments.
 
-        They are a budget, three quarters of the segments fit into which, or a generous limit beside the head.
+        They are a budget, the 75th percentile of segment lengths, or a generous limit beside the head.
         """
-        lengths = [
-            [each.stop - each.start for each in self.segments if each.skill == skill]
-            for skill in range(len(self.spec.skills))
-        ]
-        if self.config.ends == "budget":
-            return tuple(math.ceil(float(np.percentile(each, _BUDGET_PERCENTILE))) for each in lengths)
-        return tuple(math.ceil(_LIMIT_FACTOR * float(np.percentile(each, _LIMIT_PERCENTILE))) for each in lengths)
+        by_skill = [[each for each in self.segments if each.skill == skill] for skill in range(len(self.spec.skills))]
+        if self.config.ends == "head":
+            return tuple(generous_limit(each) for each in by_skill)
+        lengths = [[each.stop - each.start for each in segments] for segments in by_skill]
+        return tuple(math.ceil(float(np.percentile(each, _BUDGET_PERCENTILE))) for each in lengths)
 
     def init(self, generator: torch.Generator) -> State:
         """Returns the state before the first update."""

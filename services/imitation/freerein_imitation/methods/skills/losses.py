@@ -7,7 +7,6 @@ A fit has three parts, each of which learns from what the one before has found:
 3. the policy: the next waypoint, and termination, given these places.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -48,8 +47,6 @@ _HAND_SHARE, _MAPS_SHARE = 0.07, 0.04
 """Shares of a fit's steps for the hand, and for the heat maps."""
 
 _NORMALISATION_FRAMES = 500
-_STEP_LIMIT_FACTOR = 1.5
-_STEP_LIMIT_PERCENTILE = 95
 _EVALUATED_STEPS = 1000
 _FRAMES_AT_ONCE = 256
 _ODOMETRY_BETA = 0.2  # actions; larger errors count linearly
@@ -132,12 +129,6 @@ class SkillsLearner(Learner[SkillsNetwork]):
     def size(self) -> int:
         """Training timesteps."""
         return len(self.training)
-
-    @property
-    def max_steps_per_skill(self) -> int:
-        """Control steps after which a skill is abandoned: 1.5 times the 95th percentile of segment lengths."""
-        lengths = [each.stop - each.start for each in self.segments]
-        return math.ceil(_STEP_LIMIT_FACTOR * float(np.percentile(lengths, _STEP_LIMIT_PERCENTILE)))
 
     def init(self, generator: torch.Generator) -> State:
         """Returns the state before the first update."""

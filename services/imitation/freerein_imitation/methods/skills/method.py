@@ -11,6 +11,7 @@ from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
+from freerein_imitation.methods.shared.skill_segments import generous_limit
 from freerein_imitation.methods.skills.config import SkillsConfig
 from freerein_imitation.methods.skills.losses import TERMINATION_THRESHOLD, SkillsLearner
 from freerein_imitation.methods.skills.network import GRIPPER, SkillsNetwork, SkillsSpec
@@ -38,7 +39,7 @@ def _card(source: FitDataset, learner: SkillsLearner, fitted: FitResult[SkillsNe
         "termination_loss": losses["termination_loss"].item(),
         "segments": len(learner.segments),
     }
-    control = ControlSpec(1 / source.dataset.spec.fps, TERMINATION_THRESHOLD, learner.max_steps_per_skill)
+    control = ControlSpec(1 / source.dataset.spec.fps, TERMINATION_THRESHOLD, generous_limit(learner.segments))
     return {
         **control.to_card(),
         "figures": fitted.figures | figures,
