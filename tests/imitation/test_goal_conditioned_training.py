@@ -202,19 +202,6 @@ def test_pairs_are_close_far_or_from_elsewhere_and_those_in_between_count_for_no
     assert elsewhere.int().tolist() == [[0, 0, 0, 1], [0, 0, 0, 1], [0, 0, 0, 1], [1, 1, 1, 0]]
 
 
-def test_trajectories_too_short_to_learn_from_are_left_out() -> None:
-    long, short = explore(4, seed=0), explore(1, seed=1, length=5)
-    frames = [*(long.frames["front"][item] for item in range(4)), short.frames["front"][0]]
-    mixed = Trajectories(
-        {"front": frames},
-        [*(np.asarray(long.actions[item], np.float32) for item in range(4)), np.asarray(short.actions[0], np.float32)],
-    )
-    training, validation = mixed.split(fraction=0.25, seed=0, min_length=6)
-    assert (len(training), len(validation)) == (3, 1)
-    with pytest.raises(InvalidInput, match="at least 2"):
-        short.split(fraction=0.25, seed=0, min_length=6)
-
-
 def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None:
     config = GoalConditionedConfig.from_mapping({"steps": 20.0, "forward_consistency_weight": 1.0, "encoder": "patch"})
     assert config == GoalConditionedConfig(steps=20, forward_consistency_weight=1.0, encoder="patch")

@@ -214,15 +214,6 @@ def test_a_gripper_is_known_by_its_name_in_any_case(names: tuple[str, ...], expe
     assert spec.is_gripper == expected
 
 
-def test_segments_are_runs_of_one_skill_that_are_long_enough() -> None:
-    labels = [np.array([0, 0, 0, 1, 0, 0]), np.array([1, 1, -1, -1])]
-    assert find_segments(labels, min_steps=2) == [
-        SkillSegment(0, 0, 3, 0),
-        SkillSegment(0, 4, 6, 0),
-        SkillSegment(1, 0, 2, 1),
-    ]
-
-
 # Two skills of a hand, right and gripper by timestep: it goes right, closes, goes left, opens and retreats.
 HANDLING = np.repeat(
     np.array([[1, 0], [0, -1], [-1, 0], [0, 1], [1, 0], [-1, 0], [0, -1], [1, 0], [0, 1], [-1, 0]], np.float32),
