@@ -13,7 +13,7 @@ _MAX_LISTED = 8
 _CUTOFF = 0.75  # 0 to 1; at 0.6, difflib's own, `frames` would be taken for `name`
 
 
-def quoted(name: str) -> str:
+def quoted_name(name: str) -> str:
     """Returns a name in backquotes, or its length where it is no short, printable name."""
     if 0 < len(name) <= MAX_QUOTED and name.isprintable() and "`" not in name:
         return f"`{name}`"
@@ -29,13 +29,13 @@ def described(name: str, known: Iterable[str], meanings: Mapping[str, str] | Non
         meanings: Names of other programs, and what they are here.
     """
     meant = (meanings or {}).get(name) or nearest(name, known)
-    return f"{quoted(name)}; did you mean `{meant}`?" if meant else f"{quoted(name)}."
+    return f"{quoted_name(name)}; did you mean `{meant}`?" if meant else f"{quoted_name(name)}."
 
 
 def listed(names: Sequence[str]) -> str:
     """Returns names, quoted, the first few of them."""
     more = [f"{len(names) - _MAX_LISTED} more"] if len(names) > _MAX_LISTED else []
-    return ", ".join([*map(quoted, names[:_MAX_LISTED]), *more])
+    return ", ".join([*map(quoted_name, names[:_MAX_LISTED]), *more])
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

@@ -12,7 +12,7 @@ from pydantic import ValidationError, ValidationInfo, field_validator, model_val
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from freerein.ports import PORTS
-from freerein.unknown_names import nearest, quoted
+from freerein.unknown_names import nearest, quoted_name
 
 OURS = "FREEREIN"
 """What all variables begin with, before `_`."""
@@ -97,7 +97,7 @@ def unknown_variables(environ: Mapping[str, str]) -> Iterator[str]:
         if prefix.startswith(OURS) or (name in KNOWN and SequenceMatcher(None, prefix, OURS).ratio() >= _CLOSE):
             name = name or prefix.removeprefix(OURS)
             meant = nearest(name, KNOWN) or next((each for each in KNOWN if name in each.split("_")), "")
-            yield f"{quoted(variable)}{f', did you mean `{OURS}_{meant}`?' if meant else ', which is unknown'}"
+            yield f"{quoted_name(variable)}{f', did you mean `{OURS}_{meant}`?' if meant else ', which is unknown'}"
 
 
 def is_container_link(port: str) -> bool:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput, must_be
 from freerein.types.common import Camera, Encoding, Goal, Image, Observation
-from freerein.unknown_names import listed, nearest, quoted
+from freerein.unknown_names import listed, nearest, quoted_name
 from freerein_imitation.model.policy import PolicySpec
 
 _ONLY_CAMERA = "image"
@@ -85,7 +85,7 @@ def _unknown_keys(spec: PolicySpec, rest: dict[str, Any]) -> InvalidInput:
     """Returns the error of keys that the model has no use for, and says where they belong."""
     known = _known_keys(spec)
     meant = {key: _meant(spec, value) or nearest(key, known) for key, value in rest.items()}
-    likely = [f"{quoted(key)} is probably `{each}`." for key, each in meant.items() if each][:1]
+    likely = [f"{quoted_name(key)} is probably `{each}`." for key, each in meant.items() if each][:1]
     return InvalidInput(
         f"An observation for this model may hold {', '.join(f'`{key}`' for key in known)}; got {listed(list(rest))}.",
         field="observation",

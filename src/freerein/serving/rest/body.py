@@ -30,7 +30,7 @@ from freerein.errors import Cancelled, InvalidInput, MalformedRequest, Unsupport
 from freerein.serving.limits import FEW_VALUES, MAX_INLINE_BYTES, MAX_INLINE_IMAGE_BYTES, MAX_VALUES
 from freerein.serving.rest.field_names import unknown_field
 from freerein.serving.rest.schemas import STRUCT, schema_of
-from freerein.unknown_names import quoted
+from freerein.unknown_names import quoted_name
 
 T = TypeVar("T")
 
@@ -146,7 +146,7 @@ def _repeated_key(text: bytes) -> str:
 
     with suppress(RecursionError):  # Python's parser is stricter about depth
         json.loads(text, object_pairs_hook=note)
-    return quoted(repeated[0]) if repeated else "one"
+    return quoted_name(repeated[0]) if repeated else "one"
 
 
 def _count_pairs(value: object) -> int:

@@ -9,7 +9,7 @@ from freerein import wire
 from freerein.errors import InvalidInput, NotFound
 from freerein.serving.methods import rest_path
 from freerein.serving.rest.schemas import STRUCT
-from freerein.unknown_names import described, quoted
+from freerein.unknown_names import described, quoted_name
 
 _DEEPEST = 3
 
@@ -32,7 +32,7 @@ def unknown_field(name: str, message: Descriptor, request: Descriptor) -> Invali
 def unknown_path(path: str, known: Sequence[str]) -> NotFound:
     """Returns the error of a path that a service does not have, beside one of its own that is close."""
     owner = None if path in known else _owners().get(path)
-    got = f"{quoted(path)}, which is one of {owner}." if owner else described(path, known)
+    got = f"{quoted_name(path)}, which is one of {owner}." if owner else described(path, known)
     return NotFound(
         f"The path must be one that this service has; got {got}", hint="GET /openapi.json lists them; /docs shows them."
     )
