@@ -55,14 +55,8 @@ def fit_change_head(
     """Trains the head anew: pairs close in time are unchanged, pairs of two trajectories are not.
 
     Later, pairs far in time count as changed where they look less alike than nearly all that are close in time.
-
-    Args:
-        recognizer: Its odometry is trained.
-        data: Training frames.
-        updates: Number of updates.
-        close_steps: Most actions between frames that are close in time.
-        far_steps: Fewest actions between frames that are far in time.
-        seed: Of the weights and pairs.
+    The recognizer's odometry is trained. `close_steps` and `far_steps` are the most and the fewest actions between
+    frames that are close and far in time.
     """
     weights.initialise(recognizer.change, generator=torch.Generator().manual_seed(seed))
     rng, optimiser = np.random.default_rng(seed), torch.optim.Adam(recognizer.change.parameters(), _LR)
@@ -100,14 +94,7 @@ def time_logits(
 def sample_time_pairs(
     data: ChangeData, rng: np.random.Generator, *, close_steps: int, far_steps: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Returns pairs of frames at nearby places: close in time, far in time, of two trajectories; int64 (2, P) each.
-
-    Args:
-        data: Frames.
-        rng: Samples pairs.
-        close_steps: Most actions between frames that are close in time.
-        far_steps: Fewest actions between frames that are far in time.
-    """
+    """Returns pairs of frames at nearby places: close in time, far in time, of two trajectories; int64 (2, P) each."""
     count = len(data.trajectories)
     anchors = rng.integers(count, size=(_ANCHORS, 1))
     shape = _ANCHORS, _CANDIDATES

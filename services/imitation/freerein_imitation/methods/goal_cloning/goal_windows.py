@@ -94,9 +94,7 @@ def window_steps(max_goal_steps: int) -> int:
 def lookalikes(statistics: Tensor, *, far_steps: int) -> Places:
     """Returns timesteps that look most like each one, of those far from it in time: int64 (T, 4).
 
-    Args:
-        statistics: Image statistics of a trajectory's frames, float32 (T, D).
-        far_steps: Fewest timesteps to a lookalike, where there are any.
+    `statistics` are the image statistics of a trajectory's frames, float32 (T, D).
     """
     time = torch.arange(len(statistics), device=statistics.device)
     nearest = []
@@ -116,15 +114,9 @@ def sample_windows(
     max_goal_steps: int,
     device: torch.device,
 ) -> GoalWindows:
-    """Returns a random window of each of some trajectories.
+    """Returns a random window of each of some trajectories, `items`, which may repeat.
 
-    Args:
-        trajectories: Trajectories to sample from.
-        alike: Lookalikes of each trajectory's timesteps.
-        items: Which trajectories; may repeat.
-        rng: Samples windows and other frames.
-        max_goal_steps: Most actions from an observation to its goal.
-        device: Device of the tensors.
+    `alike` are the lookalikes of each trajectory's timesteps.
     """
     places, windows, offset = [], [], 0
     for item in items:
@@ -165,13 +157,8 @@ def sample_change_pairs(
     """Returns pairs at nearby places: close in time, and as far apart of different trajectories, and far in time.
 
     Pairs of all kinds are alike in how far apart their places are, so that places tell nothing about which kind it is.
-
-    Args:
-        batch: Windows.
-        places: Of the frames, in units of the largest distance of nearby ones, float32 (N, A).
-        rng: Samples pairs.
-        close_steps: Most actions between frames that are close in time.
-        far_steps: Fewest actions between frames that are far in time.
+    `places` of the frames, float32 (N, A), are in units of the largest distance of nearby ones. `close_steps` and
+    `far_steps` are the most and the fewest actions between frames that are close and far in time.
     """
     anchors = np.concatenate([rng.integers(at, at + own, _CHANGES_PER_WINDOW) for at, own in batch.windows.tolist()])
     is_own = batch.trajectories[anchors][:, None] == batch.trajectories  # (P, N)

@@ -214,10 +214,8 @@ def _lookalikes(trajectories: Trajectories, config: GoalCloningConfig) -> list[P
 
 
 def absolute_error(predicted: Tensor, target: Tensor) -> Tensor:
-    """Returns the mean absolute error over the last axis: float (...); its minimum is the median of demonstrations.
+    """Returns the mean absolute error over the last axis of floats (..., D): float (...).
 
-    Args:
-        predicted: float (..., D).
-        target: float (..., D).
+    Its minimum is the median of demonstrations.
     """
     return (predicted - target).abs().mean(dim=-1)

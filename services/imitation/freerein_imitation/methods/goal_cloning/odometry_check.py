@@ -24,12 +24,7 @@ def odometry_warnings(
     """Returns a warning where places tell sums of continuous actions hardly better than constant places do.
 
     Axes that do not count for a goal, or along which the robot hardly moves, are left out.
-
-    Args:
-        network: Trained.
-        windows: Held-out windows.
-        rng: Samples pairs of observation and goal.
-        max_goal_steps: Most actions from an observation to its goal.
+    `windows` are held-out ones, from which pairs of observation and goal are sampled.
     """
     recognizer, action = network.recognizer, network.spec.action
     parts = [_errors(network, each, rng, max_goal_steps=max_goal_steps) for each in windows]

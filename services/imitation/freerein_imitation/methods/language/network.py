@@ -50,9 +50,6 @@ class LanguageSpec(InputSpec):
 class LanguageNetwork(PolicyNetwork):
     """pi(a_t | x_t, text): image features modulated by the text (FiLM), two hidden layers, action head.
 
-    Args:
-        spec: Inputs, outputs and sizes.
-
     Attributes:
         reader: Reads goal texts; trained before, on text alone.
     """

@@ -7,32 +7,23 @@ from torch.nn import functional
 def action_cross_entropy(logits: Tensor, target: Tensor) -> Tensor:
     """Returns L(a_t, â_t) of eq. 3.2, the mean over the numbers of an action: float (...).
 
-    Args:
-        logits: float (..., A, categories).
-        target: Distribution of the executed action, float (..., A, categories).
+    `target` is the distribution of the executed action, float (..., A, categories) as the logits.
     """
     return -(target * logits.log_softmax(dim=-1)).sum(dim=-1).mean(dim=-1)
 
 
 def squared_error(predicted: Tensor, target: Tensor) -> Tensor:
-    """Returns the mean squared error over the last axis: float (...).
+    """Returns the mean squared error over the last axis of floats (..., D): float (...).
 
     It is the L2 action loss of section 4.3, and both forward terms of eq. 3.4, where the dissertation sums.
-
-    Args:
-        predicted: float (..., D).
-        target: float (..., D).
     """
     return (predicted - target).square().mean(dim=-1)
 
 
 def termination_loss(logits: Tensor, terminates: Tensor, continues: Tensor) -> Tensor:
-    """Returns the balanced logistic loss of the termination head: float ().
+    """Returns the balanced logistic loss of the termination head, float (), of logits, float (...).
 
-    Args:
-        logits: float (...).
-        terminates: Timesteps at which a skill terminates, bool (...).
-        continues: Timesteps at which it continues, bool (...).
+    `terminates` and `continues`, bool (...), are the timesteps at which a skill does.
     """
     positive = masked_mean(functional.softplus(-logits), terminates)
     return (positive + masked_mean(functional.softplus(logits), continues)) / 2

@@ -37,9 +37,7 @@ class SkillSegment:
 def find_segments(labels: Sequence[Ints], *, min_steps: int) -> list[SkillSegment]:
     """Returns the runs of equal labels that are long enough; timesteps without a label are in none.
 
-    Args:
-        labels: By trajectory, the skill at each timestep, int64 (T,); -1 for none.
-        min_steps: Fewest timesteps of a segment.
+    `labels` are, by trajectory, the skill at each timestep, int64 (T,); -1 for none.
     """
     found = []
     for trajectory, each in enumerate(labels):
@@ -86,10 +84,7 @@ def keep_tagged(
 ) -> list[SkillSegment]:
     """Returns the segments whose skill is among the tags of their trajectory, or whose trajectory has no tags.
 
-    Args:
-        segments: The segments.
-        tags: By trajectory, the names of its skills; empty where none is tagged.
-        skills: Names of the skills.
+    `tags` are the names of each trajectory's skills; empty where none is tagged.
     """
     return [
         each

@@ -41,12 +41,9 @@ class SkillTimes:
 
     @classmethod
     def of(cls, segments: Sequence[SkillSegment], length: int, *, steps_after: int) -> "SkillTimes":
-        """Returns the skills of a trajectory.
+        """Returns the skills of a trajectory of `length` timesteps, by its segments that were kept.
 
-        Args:
-            segments: Its segments that were kept.
-            length: T.
-            steps_after: Timesteps after a segment in which its skill counts as ended.
+        In `steps_after` timesteps after a segment its skill counts as ended.
         """
         skill, stop, ended = (np.full(length, NONE) for _ in range(3))
         for each in segments:

@@ -313,13 +313,9 @@ def _parts(count: int) -> list[slice]:
 
 
 def relative_error(predicted: Tensor, target: Tensor) -> Tensor:
-    """Returns the mean over the last axis of absolute errors, smaller where the target is far: float (...).
+    """Returns the mean over the last axis of absolute errors, float (..., D), smaller where the target is far.
 
     An error of a target of 2 counts half, and that of a larger one in proportion to it.
-
-    Args:
-        predicted: float (..., D).
-        target: float (..., D).
     """
     return ((predicted - target).abs() / (1 + target.abs() / 2)).mean(dim=-1)
 

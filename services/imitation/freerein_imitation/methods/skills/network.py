@@ -71,9 +71,6 @@ class SkillsSpec(InputSpec):
 class SkillsNetwork(PolicyNetwork):
     """Hand keypoint, heat maps of a skill, and the next waypoint given both.
 
-    Args:
-        spec: Inputs, outputs and sizes.
-
     Attributes:
         hand: The hand's place and its gripper.
         maps: Places of the object, and where the skill will put it.

@@ -59,11 +59,7 @@ def end_at_waypoints(
 
     A skill that releases an object ends at the next waypoint, and what follows begins there. Others keep their bounds.
 
-    Args:
-        segments: The segments of each trajectory, in order.
-        trajectories: The demonstrations.
-        waypoints: Of each trajectory.
-        is_gripper: For each number of an action, whether it is a gripper's.
+    The segments of each trajectory are in order, and `waypoints` are those of each trajectory.
     """
     moved: dict[tuple[int, int], int] = {}
     for each in segments:
@@ -91,15 +87,7 @@ def steps_of(
     is_gripper: Sequence[bool],
     steps_after: int,
 ) -> SkillSteps:
-    """Returns the timesteps of segments.
-
-    Args:
-        segments: The segments, at least one.
-        trajectories: The demonstrations that they are parts of.
-        waypoints: Of each trajectory.
-        is_gripper: For each number of an action, whether it is a gripper's.
-        steps_after: Timesteps after each segment, where the trajectory has them.
-    """
+    """Returns the timesteps of one or more segments, and `steps_after` after each where the trajectory has them."""
 
     def steps_of_one(segment: SkillSegment) -> SkillSteps:
         executed = np.asarray(trajectories.actions[segment.trajectory], np.float32)

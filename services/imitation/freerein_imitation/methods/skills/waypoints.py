@@ -44,11 +44,7 @@ class Waypoints:
 
 
 def find_waypoints(path: Floats) -> npt.NDArray[np.int64]:
-    """Returns the indices of a path's waypoints, the first and the last point included, ascending.
-
-    Args:
-        path: float64 (n, D), n at least 2.
-    """
+    """Returns the indices of the waypoints of a path (n, D), n at least 2, with its first and last point, ascending."""
     count = len(path)
     costs, before = np.full(count, np.inf), np.zeros(count, np.int64)
     costs[0] = 0.0
@@ -84,9 +80,7 @@ def find_handling(actions: npt.NDArray[np.float32], is_gripper: Sequence[bool]) 
 
     The release is the last time that the gripper moves, and the grasp the last time before in the other direction.
 
-    Args:
-        actions: Of the skill, float32 (T, A).
-        is_gripper: For each number of an action, whether it is a gripper's.
+    `actions` are those of the skill, float32 (T, A); `is_gripper` tells of each number of an action.
     """
     speed = actions[:, np.array(is_gripper)].sum(axis=1)  # (T,)
     acting = np.flatnonzero(np.abs(speed) > _ACTING)

@@ -131,10 +131,7 @@ def reached_threshold(recognizer: GoalRecognizer, trajectories: Trajectories) ->
     """Returns the recognizer's median probability that frames one action apart are close.
 
     The threshold that best separates training's pairs is far lower, and would call a goal reached too early.
-
-    Args:
-        recognizer: Trained.
-        trajectories: Validation trajectories, at least one of 2 timesteps.
+    At least one of the validation trajectories has 2 timesteps.
     """
     logits = []
     for item in range(len(trajectories)):

@@ -30,12 +30,7 @@ def goal_images_method(
 ) -> Method[C, GoalImagesLearner[N], N, GoalImagesPolicy]:
     """Returns the method of a network that chooses actions, beside the goal recognizer.
 
-    Args:
-        config_class: Class of the configuration.
-        spec_class: Class of the network's spec.
-        network_class: Makes the network of a spec.
-        learner_class: Class of the learner.
-        spec_fields: Returns fields of the spec that the configuration gives by other names.
+    `spec_fields` returns fields of the spec that the configuration gives by other names.
     """
 
     def check(source: FitDataset, config: C) -> S:

@@ -76,12 +76,7 @@ class ActionNetwork(Protocol):
 
 
 class GoalImagesNetwork(PolicyNetwork):
-    """Base of the networks: an action network and a goal recognizer, which share no weights.
-
-    Args:
-        spec: Inputs, outputs and sizes.
-        policy: Chooses actions.
-    """
+    """Base of the networks: an action network and a goal recognizer, which share no weights."""
 
     spec: GoalImagesSpec
 

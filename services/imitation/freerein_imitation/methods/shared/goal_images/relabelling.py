@@ -92,12 +92,8 @@ def sample_slices(
 ) -> RelabelledSlices:
     """Returns random slices from a random window of each of some trajectories.
 
-    Args:
-        trajectories: Each at least one timestep longer than the shortest slice.
-        items: Which trajectories; may repeat.
-        rng: Samples windows and slices.
-        steps: Fewest and most actions in a slice; in a short trajectory a slice is as long as that allows.
-        device: Device of the tensors.
+    `steps` are the fewest and the most actions in a slice; in a short trajectory a slice is as long as that allows.
+    Each trajectory is at least one timestep longer than the shortest slice. `items` may repeat.
     """
     shortest, longest = steps
     windows, actions, previous, starts, lengths = [], [], [], [], []
@@ -126,15 +122,7 @@ def sample_recognizer_batch(
     close_steps: int,
     device: torch.device,
 ) -> RecognizerBatch:
-    """Returns random frames of some trajectories, each with another one that is close to it.
-
-    Args:
-        trajectories: Trajectories to sample from.
-        items: Which trajectories.
-        rng: Samples the frames.
-        close_steps: Most actions between close frames.
-        device: Device of the tensors.
-    """
+    """Returns random frames of some trajectories, each with another one at most `close_steps` actions away."""
     places = []
     for item in items:
         last = len(trajectories.actions[item]) - 1
