@@ -13,8 +13,7 @@ from torch import Tensor, nn
 from freerein.goal_text import words
 
 KNOWN = 0.8
-"""Score from which a phrase is known: it tells what it names better than four of five words without meaning tell what
-they happen to tell best."""
+"""Quantile of a phrase's AUROC among those of words without meaning, from which it counts as known."""
 
 REFERENCES = 2048
 """Reference images."""
