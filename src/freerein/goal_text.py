@@ -3,7 +3,8 @@
     [please] [could you] [put] PHRASE [is] RELATION PHRASE [please]
 
 Case and punctuation do not matter. A phrase may have another article, its last word a synonym or `one`, and that word
-may be missing where the rest still names one phrase. Whatever else a text says, it is not a statement.
+may be missing where the rest still names one phrase. Whatever else a text says, it is not a statement; the nearest one
+is proposed.
 """
 
 import re
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from itertools import permutations, product
 from types import MappingProxyType
 
+from freerein.nearest_statement import NEGATIONS, QUANTITIES, NearestStatement
 from freerein.relations import MISSING, SpatialRelation, absence_caption, caption
 
 Words = tuple[str, ...]
@@ -38,6 +40,12 @@ REQUESTS = (
 )
 """What a sentence may begin with before it says anything."""
 
+OPENINGS = (
+    *("i d like", "we want", "we need", "you to", "you should", "you must", "let", "ensure", "ensure that"),
+    *("there is", "there to be", "there should be", "there must be"),
+)
+"""As `REQUESTS`, of words that noun phrases may have, too."""
+
 ARRANGE = "arrange"
 SO_THAT = ("so", "that")
 VERBS = ("put", "place", "move", "push", "pull", "set", "bring", "slide", "stack", "lay", "get", "keep", "make")
@@ -46,7 +54,13 @@ COPULAS = (
     *("is placed", "is lying", "is sitting", "is resting", "is standing"),
     *("be", "to be", "should go", "go", "sit", "stand", "lie", "stay"),
 )
-NEGATIONS = ("not", "no", "never", "don", "t", "without", "except", "neither", "nor")
+_MODALS = ("should", "must", "has to", "needs to", "to")
+CLAUSES = (
+    *map(" ".join, product(_MODALS, ("be", "go", "sit", "stand", "lie", "stay", "rest", "be placed"))),
+    *map(" ".join, product(("that", "which"), ("is", "lies", "sits", "rests", "stands", "goes", "stays"))),
+)
+"""As `COPULAS`, of words that noun phrases may have, too."""
+
 MAX_UNKNOWN = 16
 """Most unknown words that are named."""
 
@@ -115,18 +129,21 @@ class GoalText:
         statement: What it states; None where it cannot be read.
         unknown: Words that the model does not know, distinct and in order, at most `MAX_UNKNOWN` of at most
             `MAX_UNKNOWN_CHARACTERS` characters each. Empty for a statement.
+        did_you_mean: The caption of the nearest statement; empty where none is near, and for a statement.
     """
 
     text: str
     rivals: tuple[str, ...]
     statement: Statement | None
     unknown: Words
+    did_you_mean: str = ""
 
 
 class Grammar:
     """The grammar of a model that was trained on texts of the words `vocabulary`.
 
-    Without `phrases`, as of a grounding model, no text is a statement, and the grammar's words are known.
+    Negations and quantities are unknown words, except in a phrase. Without `phrases`, as of a grounding model, no text
+    is a statement, and the grammar's words are known.
     """
 
     def __init__(self, phrases: Sequence[str], vocabulary: Sequence[str]) -> None:
@@ -136,22 +153,28 @@ class Grammar:
         self._absences = {words(each): each for each in (absence_caption(first, second) for first, second in pairs)}
         trained = frozenset(word for text in (*vocabulary, *phrases) for word in words(text)) - _ABSENCE_WORDS
         self._things = {f"{name[-1]}s" for name in (*self._phrases, *((noun,) for noun in GENERIC_NOUNS))}
-        self._known = trained.union(_GRAMMAR_WORDS, *self._phrases, _REQUEST_WORDS if phrases else ())
-        self._embedded = trained if phrases else self._known
+        unread = _UNREAD.difference(*self._phrases) if phrases else frozenset[str]()
+        self._known = trained.union(_GRAMMAR_WORDS, *self._phrases, _REQUEST_WORDS if phrases else ()) - unread
+        self._embedded = trained - unread if phrases else self._known
+        self._nearest = NearestStatement(self._phrases, _WORDINGS)
 
     def read(self, text: str) -> GoalText:
         """Returns what a text says, in linear time.
 
         A text that cannot be read goes to the model as it is. Words that only the grammar knows do not help it: they
-        are named as unknown, too, where there are no others.
+        are named as unknown, too, where there are no others. Where the model knows all words, but has phrases that the
+        text does not relate, the text states nothing, and has no rivals.
         """
         said = words(text)
         if statement := self._statement(said):
             return GoalText(statement.caption, statement.rivals, statement, ())
         if absence := self._absences.get(said):
             return GoalText(absence, (), None, ())
-        unknown = _outside(said, self._known) or _outside(said, self._embedded)
-        return GoalText(text, _rivals(said), None, unknown)
+        strange = _outside(said, self._known)
+        unknown = strange or _outside(said, self._embedded)
+        rivals = _rivals(said) if unknown or not self._phrases else ()
+        nearest = self._nearest.find(said, strange)
+        return GoalText(text, rivals, None, unknown, caption(*nearest) if nearest else "")
 
     def unknown_words(self, phrases: Iterable[str]) -> Words:
         """Returns the words of noun phrases that neither the grammar nor the model knows, as `GoalText.unknown`."""
@@ -192,10 +215,10 @@ def words(text: str) -> Words:
 
 def asked(said: Words) -> Words:
     """Returns the words of a sentence without those that only ask for it."""
-    said = said[1:] if said[:1] == (POLITE,) else said
-    longest = max((each for each in _REQUESTS if said[: len(each)] == each), key=len, default=())
-    said = said[len(longest) :]
-    said = said[1:] if longest and said[:1] == (POLITE,) else said
+    start = 0
+    while size := next((size for size in _REQUEST_SIZES if said[start : start + size] in _REQUESTS), 0):
+        start += size
+    said = said[start:]
     return said[:-1] if said[-1:] == (POLITE,) else said
 
 
@@ -296,14 +319,17 @@ _WORDINGS = {tuple(each.split()): relation for relation, wordings in WORDINGS.it
 _LONGEST_RELATION = max(map(len, _WORDINGS))
 _RELATION_STARTS = frozenset(wording[0] for wording in _WORDINGS)
 _RELATIONS = {
-    (*copula.split(), *wording): relation for copula, (wording, relation) in product(("", *COPULAS), _WORDINGS.items())
+    (*copula.split(), *wording): relation
+    for copula, (wording, relation) in product(("", *COPULAS, *CLAUSES), _WORDINGS.items())
 }
 _LONGEST_RELATED = max(map(len, _RELATIONS))
 _LONGEST_PHRASE = 6
-_REQUESTS = tuple(tuple(each.split()) for each in REQUESTS)
-_REQUEST_WORDS = _split((*REQUESTS, ARRANGE, *SO_THAT))
+_REQUESTS = frozenset(tuple(each.split()) for each in (POLITE, *REQUESTS, *OPENINGS))
+_REQUEST_SIZES = range(max(map(len, _REQUESTS)), 0, -1)
+_REQUEST_WORDS = _split((*REQUESTS, *OPENINGS, *CLAUSES, ARRANGE, *SO_THAT))
+_UNREAD = frozenset((*NEGATIONS, *QUANTITIES))
 _ABSENCE_WORDS = frozenset(("or", MISSING))
 _GRAMMAR_WORDS = _split((POLITE, *ARTICLES, *GENERIC_NOUNS, *VERBS, *COPULAS, *map(" ".join, _WORDINGS))) - {
     each.split()[0] for each in _NEARBY
 }
-_NO_NOUNS = _split((POLITE, *VERBS, *COPULAS, *map(" ".join, _WORDINGS), *REQUESTS, *NEGATIONS, "and or but then"))
+_NO_NOUNS = _split((POLITE, *VERBS, *COPULAS, *map(" ".join, _WORDINGS), *REQUESTS, *_UNREAD, "and or but then"))

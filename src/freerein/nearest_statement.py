@@ -1,0 +1,139 @@
+"""The statement that a text probably means where no grammar reads it: callers are asked back, it is never just taken.
+
+A text that says two names and one relation, whatever else it says, is near their statement. Words that turn a statement
+into another one, such as `not` and `two`, are never left out.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import product, takewhile
+from types import MappingProxyType
+
+from freerein.relations import SpatialRelation
+
+Words = tuple[str, ...]
+Stated = tuple[str, SpatialRelation, str]
+
+NEGATIONS = (
+    *("not", "no", "never", "don", "t", "without", "except", "neither", "nor", "none", "nothing", "nowhere"),
+    *("cannot", "dont", "cant", "isnt", "arent", "wont", "doesnt", "didnt", "shouldnt", "mustnt"),
+)
+QUANTITIES = (
+    *("all", "every", "each", "both", "any", "some", "several", "many", "few", "most", "half", "everything"),
+    *("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"),
+)
+_CHANGES = (
+    *("do", "does", "did", "or", "but", "if", "unless", "until", "when", "then", "before", "after", "otherwise"),
+    *("instead", "rather", "off", "from", "remove", "avoid", "prevent", "stop", "undo", "opposite"),
+)
+"""More words without which a text says something else."""
+
+_MIN_LETTERS = 4
+"""Shorter words are no typos: too many words are one edit apart."""
+
+_POSSESSIVE = frozenset(("with", "has", "have", "having"))
+_IGNORED = ("each other", "one another")
+_BESIDE = (
+    *("next to", "right next to", "beside", "right beside", "alongside", "adjacent to"),
+    *("by the side of", "on the side of", "at the side of", "to the side of"),
+)
+"""They do not say on which side; the left is as near as the right."""
+
+
+def _side(side: str) -> tuple[str, ...]:
+    ends = (side, f"{side} side", f"{side} hand side")
+    return (side, *(f"{before} the {end}" for before, end in product(("on", "to", "at"), ends)))
+
+
+_LOOSE: Mapping[SpatialRelation, tuple[str, ...]] = MappingProxyType(
+    {
+        SpatialRelation.LEFT_OF: (*_side("left"), *_BESIDE),
+        SpatialRelation.RIGHT_OF: _side("right"),
+        SpatialRelation.ON_TOP_OF: ("on top", "on the top", "at the top of", "to the top of", "right on top of"),
+        SpatialRelation.BELOW: ("at the bottom of", "right below", "right under"),
+        SpatialRelation.APART_FROM: ("apart", "far apart"),
+    }
+)
+
+
+class NearestStatement:
+    """Finds the statement of names that is nearest to a text.
+
+    Args:
+        names: The phrase that each name stands for.
+        relations: The relation that each wording says.
+    """
+
+    def __init__(self, names: Mapping[Words, str], relations: Mapping[Words, SpatialRelation]) -> None:
+        self._names, self._definite = names, relations
+        self._relations = {**_LOOSELY, **relations}
+        self._mentions = frozenset((*names, *self._relations, *map(_split, _IGNORED)))
+        self._longest = max(map(len, self._mentions))
+        self._spellings = frozenset(word for mention in self._mentions for word in mention)
+
+    def find(self, said: Words, unknown: Iterable[str]) -> Stated | None:
+        """Returns the statement nearest to words, of which the unknown ones may be typos; None where none is near."""
+        meant = {word: self._meant(word) for word in unknown}
+        parts = list(self._parts(tuple(meant.get(word, word) for word in said)))
+        rest = {word for part in parts if part not in self._mentions for word in part}
+        if any(word in _MEANS_ANOTHER or word.isnumeric() for word in rest):
+            return None
+        return self._stated(parts, is_possessed=not rest.isdisjoint(_POSSESSIVE))
+
+    def _parts(self, said: Words) -> Iterator[Words]:
+        """Yields names, relations and single other words in order; the longest that there are."""
+        place = 0
+        while place < len(said):
+            sizes = range(min(self._longest, len(said) - place), 1, -1)
+            size = next((size for size in sizes if said[place : place + size] in self._mentions), 1)
+            yield said[place : place + size]
+            place += size
+
+    def _stated(self, parts: list[Words], *, is_possessed: bool) -> Stated | None:
+        """Returns what `A on B`, `on B is A` or `B with A on it` state, with two names and one relation; else None."""
+        names = [self._names[part] for part in parts if part in self._names]
+        relations = [place for place, part in enumerate(parts) if part in self._relations]
+        if len(names) != 2 or len(relations) != 1 or names[0] == names[1]:
+            return None
+        wording = parts[relations[0]]
+        relation, (first, second) = self._relations[wording], names
+        before = sum(part in self._names for part in parts[: relations[0]])
+        if before == 1 or wording in _MUTUAL:
+            return first, relation, second
+        is_converse = is_possessed if before == 2 else wording in self._definite
+        return (second, relation, first) if is_converse else None
+
+    def _meant(self, word: str) -> str:
+        """Returns the word that is one edit away, or whose plural this is; the word itself where none or several are.
+
+        Of several, the only one with the same first letter is meant: it is seldom mistyped.
+        """
+        if len(word) < _MIN_LETTERS or word in _MEANS_ANOTHER:
+            return word
+        if any(_is_one_edit(word, negation) for negation in NEGATIONS):
+            return NEGATIONS[0]
+        near = [each for each in self._spellings if word == f"{each}es" or _is_one_edit(word, each)]
+        near = [each for each in near if each[0] == word[0]] if len(near) > 1 else near
+        return near[0] if len(near) == 1 else word
+
+
+def _is_one_edit(one: str, other: str) -> bool:
+    """Returns whether words differ by one letter more, less or other, or by the order of two, in linear time."""
+    start = _shared(one, other)
+    one, other = one[start:], other[start:]
+    end = _shared(one[::-1], other[::-1])
+    one, other = one[: len(one) - end], other[: len(other) - end]
+    return max(len(one), len(other)) <= 1 or (len(one) == 2 and one == other[::-1])
+
+
+def _shared(one: str, other: str) -> int:
+    """Returns the length of the beginning that two words share."""
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False)))
+
+
+def _split(text: str) -> Words:
+    return tuple(text.split())
+
+
+_MEANS_ANOTHER = frozenset((*NEGATIONS, *QUANTITIES, *_CHANGES))
+_LOOSELY = {_split(wording): relation for relation, wordings in _LOOSE.items() for wording in wordings}
+_MUTUAL = frozenset(map(_split, (*_BESIDE, *_LOOSE[SpatialRelation.APART_FROM], "apart from", "far from", "away from")))
