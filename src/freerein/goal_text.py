@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import permutations, product
 from types import MappingProxyType
 
+from freerein.errors import InvalidInput
 from freerein.nearest_statement import NEGATIONS, QUANTITIES, NearestStatement
 from freerein.relations import MISSING, SpatialRelation, absence_caption, caption
 
@@ -202,6 +203,21 @@ class Grammar:
     def _phrase(self, said: Words) -> str | None:
         """Returns the phrase of these words, which may begin with an article."""
         return self._phrases.get(said) or self._phrases.get(bare_words(said))
+
+
+def ask_back(did_you_mean: str, otherwise: str) -> str:
+    """Returns the hint of an error of a goal text: asks for the nearest statement, where there is one."""
+    return f"Did you mean: {did_you_mean}?" if did_you_mean else otherwise
+
+
+def not_known(unknown: Words, did_you_mean: str, *, field: str) -> InvalidInput:
+    """Returns the error of a goal text with unknown words."""
+    example = "Relate two noun phrases of the model in English, such as: the red block is on the blue one."
+    return InvalidInput(
+        f"The model must know every word of the goal text; it does not know {', '.join(unknown)}.",
+        field=field,
+        hint=ask_back(did_you_mean, example),
+    )
 
 
 def words(text: str) -> Words:

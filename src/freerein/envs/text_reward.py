@@ -16,6 +16,7 @@ from freerein.clients import Channel, RewardClient, SyncClient
 from freerein.envs.autoreset import check_same_step, last_observations
 from freerein.envs.env_session import Observation
 from freerein.errors import InvalidInput
+from freerein.goal_text import not_known
 from freerein.ports import PORTS
 from freerein.types.common import ModelRef
 from freerein.types.reward import Mode, RewardRequest, RewardResponse
@@ -195,11 +196,7 @@ def _frame_shapes(space: spaces.Space[Any], only_camera: str) -> dict[str, tuple
 
 def _check_known(answer: RewardResponse) -> None:
     if answer.unknown:
-        raise InvalidInput(
-            f"The model must know every word of the goal text; it does not know {', '.join(answer.unknown)}.",
-            field="goal_text",
-            hint="Relate two noun phrases of the model, such as: the red block is on the blue one.",
-        )
+        raise not_known(answer.unknown, answer.did_you_mean, field="goal_text")
 
 
 def _batch_of_one(observation: Observation) -> Observation:

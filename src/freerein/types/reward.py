@@ -50,6 +50,8 @@ class RewardResponse:
             `freerein.learning.in_distribution`. Empty for a grounding model.
         unknown: Words of the goal text that the model does not know, distinct and in order; at most 16 of at most 32
             characters each, longer ones cut.
+        did_you_mean: Where the goal text is no statement, the nearest one, which was not taken for it; empty where none
+            is near.
     """
 
     rewards: npt.NDArray[np.float32]
@@ -61,6 +63,7 @@ class RewardResponse:
     unknown: tuple[str, ...]
     model: ModelRef
     timing: Timing
+    did_you_mean: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +181,7 @@ class EmbedGoalResponse:
         embedding: float32 (D,), of length 1 at most.
         truncated: Whether the text was too long for the model and was truncated.
         unknown: Words that the model does not know, as in `RewardResponse`.
+        did_you_mean: The nearest statement, as in `RewardResponse`.
     """
 
     embedding: npt.NDArray[np.float32]
@@ -185,3 +189,4 @@ class EmbedGoalResponse:
     unknown: tuple[str, ...]
     model: ModelRef
     timing: Timing
+    did_you_mean: str = ""

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from freerein import images
 from freerein.errors import InvalidInput, must_be
+from freerein.goal_text import ask_back
 from freerein.types.common import ACTION_TOLERANCE, MAX_TEXT, Camera, Goal, Image, Observation
 from freerein_imitation.core.policy_state import DIGEST_BYTES
 from freerein_imitation.core.resizing import Resizer
@@ -212,11 +213,15 @@ def _parse_text(spec: PolicySpec, text: str) -> Subgoal:
     """Returns a text as a goal, in the words of the policy's training; none that its grammar cannot read."""
     if spec.goal_texts or spec.training_texts:
         read = spec.known_texts.read(text)
-        followed = read.training_text or (None if spec.goal_texts else read.caption)
+        followed = _followed(spec, read)
         if followed is None:
             raise _refused_text(spec, read)
         text = followed
     return Subgoal(_digest(text.encode()), text)
+
+
+def _followed(spec: PolicySpec, read: KnownText) -> str | None:
+    return read.training_text or (None if spec.goal_texts else read.caption)
 
 
 def _refused_text(spec: PolicySpec, read: KnownText) -> InvalidInput:
@@ -225,11 +230,12 @@ def _refused_text(spec: PolicySpec, read: KnownText) -> InvalidInput:
     else:
         expected = "must say what a training text of this policy says, or relate two of their objects"
     unknown = f", with words that it does not know: {', '.join(read.unknown)}" if read.unknown else ""
+    meant = _followed(spec, spec.known_texts.read(read.did_you_mean))
+    otherwise = f"Say it in other words, such as: {(spec.goal_texts or spec.training_texts)[0]}."
     return InvalidInput(
         f"`goal.text` {expected}; got another text{unknown}.",
         field="goal.text",
-        hint="Hold the robot, and say it in other words, such as: "
-        f"{(spec.goal_texts or spec.training_texts)[0]}. Or name a model that follows others.",
+        hint=f"Hold the robot. {ask_back(meant or '', otherwise)} Or name a model that follows others.",
     )
 
 

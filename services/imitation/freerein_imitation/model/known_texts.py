@@ -21,11 +21,13 @@ class KnownText:
         training_text: The training text that says the same; None where none does.
         caption: The relation that it states, in the words of captions; None where it states none of two known objects.
         unknown: Words that no training text has, as `freerein.goal_text.GoalText.unknown`.
+        did_you_mean: The nearest relation of two known objects, as `freerein.goal_text.GoalText.did_you_mean`.
     """
 
     training_text: str | None
     caption: str | None
     unknown: Words
+    did_you_mean: str = ""
 
 
 class KnownTexts:
@@ -42,7 +44,7 @@ class KnownTexts:
         goal = self._grammar.read(text)
         same = self._by_words.get(_plain(text))
         if goal.statement is None:
-            return KnownText(same, None, goal.unknown)
+            return KnownText(same, None, goal.unknown, goal.did_you_mean)
         return KnownText(same or self._by_statement.get(goal.statement), goal.text, ())
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from freerein.clients import SyncClient
-from freerein.errors import InvalidInput
+from freerein.goal_text import not_known
 from freerein.types.common import Camera, ModelRef
 from freerein.types.reward import Mode, RewardRequest, RewardResponse
 from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
@@ -64,11 +64,7 @@ class LearnedReward(Reward):
         """
         answer = self._request(np.zeros((2, camera.height, camera.width, camera.channels), np.uint8))
         if answer.unknown:
-            raise InvalidInput(
-                f"The model must know every word of the goal text; it does not know {', '.join(answer.unknown)}.",
-                field="config.goal_text",
-                hint="Relate two noun phrases of the model, such as: the red block is on the blue one.",
-            )
+            raise not_known(answer.unknown, answer.did_you_mean, field="config.goal_text")
         return answer
 
     def _request(self, frames: Frames) -> RewardResponse:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.errors import InvalidInput
-from freerein.goal_text import GoalText, Grammar
+from freerein.goal_text import GoalText, Grammar, ask_back, not_known
 from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
@@ -70,6 +70,7 @@ class RewardCore:
             unknown=goal.unknown,
             model=ref,
             timing=timer.timing(),
+            did_you_mean=goal.did_you_mean,
         )
 
     async def embed_goal(self, request: EmbedGoalRequest) -> EmbedGoalResponse:
@@ -90,6 +91,7 @@ class RewardCore:
             unknown=goal.unknown,
             model=ref,
             timing=timer.timing(),
+            did_you_mean=goal.did_you_mean,
         )
 
     async def _resolve(self, ref: ModelRef, *, allow_grounding: bool) -> tuple[ModelRef, RewardModel]:
@@ -121,18 +123,19 @@ def _rivals(request: RewardRequest, goal: GoalText, grammar: Grammar) -> tuple[s
     rivals = tuple(grammar.read(rival).text for rival in request.rivals)
     check_distinct(rivals, goal.text)
     if not rivals and not goal.rivals and request.mode == "binary":
-        if goal.unknown:
-            raise InvalidInput(
-                f"The model must know every word of the goal text; it does not know {', '.join(goal.unknown)}.",
-                field="goal_text",
-                hint="Relate two noun phrases of the model in English, such as: the red block is on the blue one.",
-            )
-        raise InvalidInput(
-            "A binary reward needs rivals; none were given, and the goal text has no relation to derive them from.",
-            field="rivals",
-            hint="Send `rivals`, descriptions of other outcomes, or use mode raw.",
-        )
+        raise _no_rivals(goal)
     return rivals or goal.rivals
+
+
+def _no_rivals(goal: GoalText) -> InvalidInput:
+    if goal.unknown:
+        return not_known(goal.unknown, goal.did_you_mean, field="goal_text")
+    return InvalidInput(
+        "A binary reward needs rivals; none were given, and the goal text states no relation of two different things "
+        "to derive them from.",
+        field="rivals",
+        hint=ask_back(goal.did_you_mean, "Send `rivals`, descriptions of other outcomes, or use mode raw."),
+    )
 
 
 def _winners(similarities: npt.NDArray[np.float32], *, is_known: bool) -> npt.NDArray[np.int64]:

@@ -150,6 +150,8 @@ def _show(answer: RewardResponse) -> None:
     typer.echo(f"{len(rows)} frames, model {answer.model.name} {answer.model.version}")
     if answer.unknown:
         typer.echo(f"The model does not know {', '.join(answer.unknown)}: the goal is never rewarded.")
+    if answer.did_you_mean:
+        typer.echo(f"Did you mean: {answer.did_you_mean}?")
     if answer.truncated:
         typer.echo("A text was too long for the model and was truncated.")
 

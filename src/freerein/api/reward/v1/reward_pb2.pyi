@@ -101,8 +101,8 @@ class RewardRequest(_message.Message):
     @_builtins.property
     def rivals(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Texts that the goal text must beat, at most 64 of at most 2 000 characters each, read as the goal text is. Empty for
-        the goal text with every other relation, and that one of its objects is missing; a goal text without a relation needs
-        rivals or mode raw.
+        the goal text with every other relation, and that one of its objects is missing; a goal text that states no relation
+        of two needs rivals or mode raw.
         """
 
     def __init__(
@@ -140,8 +140,13 @@ class RewardResponse(_message.Message):
     TIMING_FIELD_NUMBER: _builtins.int
     UNKNOWN_FIELD_NUMBER: _builtins.int
     IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
+    DID_YOU_MEAN_FIELD_NUMBER: _builtins.int
     truncated: _builtins.bool
     """Whether any text was too long for the model and was truncated."""
+    did_you_mean: _builtins.str
+    """Where the goal text is no statement, the nearest one, such as `a red block on top of a yellow block`; empty where none
+    is near. It was not taken for the goal text: ask whether it was meant.
+    """
     @_builtins.property
     def rewards(self) -> _containers.RepeatedScalarFieldContainer[_builtins.float]:
         """Reward of each of N frames, in the requested mode; in the mode binary 0 where `unknown` is not empty."""
@@ -196,10 +201,11 @@ class RewardResponse(_message.Message):
         timing: _common_pb2.Timing | None = ...,
         unknown: _abc.Iterable[_builtins.str] | None = ...,
         in_distribution: _abc.Iterable[_builtins.float] | None = ...,
+        did_you_mean: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["in_distribution", b"in_distribution", "model", b"model", "rewards", b"rewards", "similarities", b"similarities", "texts", b"texts", "timing", b"timing", "truncated", b"truncated", "unknown", b"unknown", "winners", b"winners"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["did_you_mean", b"did_you_mean", "in_distribution", b"in_distribution", "model", b"model", "rewards", b"rewards", "similarities", b"similarities", "texts", b"texts", "timing", b"timing", "truncated", b"truncated", "unknown", b"unknown", "winners", b"winners"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -516,8 +522,11 @@ class EmbedGoalResponse(_message.Message):
     MODEL_FIELD_NUMBER: _builtins.int
     TIMING_FIELD_NUMBER: _builtins.int
     UNKNOWN_FIELD_NUMBER: _builtins.int
+    DID_YOU_MEAN_FIELD_NUMBER: _builtins.int
     truncated: _builtins.bool
     """Whether the text was too long for the model and was truncated."""
+    did_you_mean: _builtins.str
+    """The nearest statement, as in `RewardResponse`; it was not embedded."""
     @_builtins.property
     def embedding(self) -> _common_pb2.Tensor:
         """FP32 (D), of length 1 at most."""
@@ -542,10 +551,11 @@ class EmbedGoalResponse(_message.Message):
         model: _common_pb2.ModelRef | None = ...,
         timing: _common_pb2.Timing | None = ...,
         unknown: _abc.Iterable[_builtins.str] | None = ...,
+        did_you_mean: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["embedding", b"embedding", "model", b"model", "timing", b"timing"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["embedding", b"embedding", "model", b"model", "timing", b"timing", "truncated", b"truncated", "unknown", b"unknown"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["did_you_mean", b"did_you_mean", "embedding", b"embedding", "model", b"model", "timing", b"timing", "truncated", b"truncated", "unknown", b"unknown"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
