@@ -5,7 +5,7 @@ into another one, such as `not` and `two`, are never left out.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from itertools import product, takewhile
+from itertools import pairwise, product, takewhile
 from types import MappingProxyType
 
 from freerein.relations import SpatialRelation
@@ -22,7 +22,7 @@ QUANTITIES = (
     *("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"),
 )
 _CHANGES = (
-    *("do", "does", "did", "or", "but", "if", "unless", "until", "when", "then", "before", "after", "otherwise"),
+    *("do", "does", "did", "or", "but", "if", "unless", "when", "then", "before", "after", "otherwise"),
     *("instead", "rather", "off", "from", "remove", "avoid", "prevent", "stop", "undo", "opposite"),
 )
 """More words without which a text says something else."""
@@ -31,7 +31,7 @@ _MIN_LETTERS = 4
 """Shorter words are no typos: too many words are one edit apart."""
 
 _POSSESSIVE = frozenset(("with", "has", "have", "having"))
-_IGNORED = ("each other", "one another")
+_IGNORED = ("each other", "one another", "do you")
 _BESIDE = (
     *("next to", "right next to", "beside", "right beside", "alongside", "adjacent to"),
     *("by the side of", "on the side of", "at the side of", "to the side of"),
@@ -40,17 +40,17 @@ _BESIDE = (
 
 
 def _side(side: str) -> tuple[str, ...]:
-    ends = (side, f"{side} side", f"{side} hand side")
-    return (side, *(f"{before} the {end}" for before, end in product(("on", "to", "at"), ends)))
+    ends = (side, f"{side} side", f"{side} hand side", f"{side} from")
+    return (side, f"{side} from", *(f"{before} the {end}" for before, end in product(("on", "to", "at"), ends)))
 
 
 _LOOSE: Mapping[SpatialRelation, tuple[str, ...]] = MappingProxyType(
     {
         SpatialRelation.LEFT_OF: (*_side("left"), *_BESIDE),
         SpatialRelation.RIGHT_OF: _side("right"),
-        SpatialRelation.ON_TOP_OF: ("on top", "on the top", "at the top of", "to the top of", "right on top of"),
-        SpatialRelation.BELOW: ("at the bottom of", "right below", "right under"),
-        SpatialRelation.APART_FROM: ("apart", "far apart"),
+        SpatialRelation.ON_TOP_OF: ("on top", "on the top", "at the top of", "right on top of", "higher than"),
+        SpatialRelation.BELOW: ("at the bottom of", "right below", "right under", "lower than"),
+        SpatialRelation.APART_FROM: ("apart", "far apart", "way from", "distance from", "possible from"),
     }
 )
 
@@ -71,11 +71,20 @@ class NearestStatement:
         self._spellings = frozenset(word for mention in self._mentions for word in mention)
 
     def find(self, said: Words, unknown: Iterable[str]) -> Stated | None:
-        """Returns the statement nearest to words, of which the unknown ones may be typos; None where none is near."""
+        """Returns the statement nearest to words; None where none is near.
+
+        It is that of the words as they are or, where they make none, with the unknown ones for typos.
+        """
         meant = {word: self._meant(word) for word in unknown}
-        parts = list(self._parts(tuple(meant.get(word, word) for word in said)))
+        if NEGATIONS[:1] in meant.values():
+            return None
+        spelled = tuple(each for word in said for each in meant.get(word, (word,)))
+        return self._find(said) or self._find(spelled)
+
+    def _find(self, said: Words) -> Stated | None:
+        parts = list(self._parts(said))
         rest = {word for part in parts if part not in self._mentions for word in part}
-        if any(word in _MEANS_ANOTHER or word.isnumeric() for word in rest):
+        if any(map(_means_another, rest)):
             return None
         return self._stated(parts, is_possessed=not rest.isdisjoint(_POSSESSIVE))
 
@@ -89,31 +98,47 @@ class NearestStatement:
             place += size
 
     def _stated(self, parts: list[Words], *, is_possessed: bool) -> Stated | None:
-        """Returns what `A on B`, `on B is A` or `B with A on it` state, with two names and one relation; else None."""
+        """Returns what two names and one relation state; None for other numbers of them.
+
+        They are `A on B`, `on B is A`, `B with A on it`, `A and B apart`, `B's left is A` or `A at B's left`.
+        """
         names = [self._names[part] for part in parts if part in self._names]
         relations = [place for place, part in enumerate(parts) if part in self._relations]
         if len(names) != 2 or len(relations) != 1 or names[0] == names[1]:
             return None
-        wording = parts[relations[0]]
-        relation, (first, second) = self._relations[wording], names
+        wording, (first, second) = parts[relations[0]], names
         before = sum(part in self._names for part in parts[: relations[0]])
-        if before == 1 or wording in _MUTUAL:
-            return first, relation, second
-        is_converse = is_possessed if before == 2 else wording in self._definite
-        return (second, relation, first) if is_converse else None
+        owners = [self._names[part] for part, end in pairwise(parts) if part in self._names and end == ("s",)]
+        if owners and wording not in self._definite and wording not in _MUTUAL:
+            is_converse = owners[0] == first
+        elif before == 1 or wording in _MUTUAL:
+            is_converse = False
+        elif is_possessed if before == 2 else wording in self._definite:
+            is_converse = True
+        else:
+            return None
+        relation = self._relations[wording]
+        return (second, relation, first) if is_converse else (first, relation, second)
 
-    def _meant(self, word: str) -> str:
-        """Returns the word that is one edit away, or whose plural this is; the word itself where none or several are.
+    def _meant(self, word: str) -> Words:
+        """Returns the word that is one edit away, or whose plural this is, or two without their space; else the word.
 
         Of several, the only one with the same first letter is meant: it is seldom mistyped.
         """
         if len(word) < _MIN_LETTERS or word in _MEANS_ANOTHER:
-            return word
+            return (word,)
         if any(_is_one_edit(word, negation) for negation in NEGATIONS):
-            return NEGATIONS[0]
-        near = [each for each in self._spellings if word == f"{each}es" or _is_one_edit(word, each)]
-        near = [each for each in near if each[0] == word[0]] if len(near) > 1 else near
-        return near[0] if len(near) == 1 else word
+            return NEGATIONS[:1]
+        near: list[Words] = [(each,) for each in self._spellings if word == f"{each}es" or _is_one_edit(word, each)]
+        near = [each for each in near if each[0][0] == word[0]] if len(near) > 1 else near
+        parted = [(word[:end], word[end:]) for end in range(1, len(word))]
+        near = near or [pair for pair in parted if self._spellings.issuperset(pair)]
+        return near[0] if len(near) == 1 else (word,)
+
+
+def _means_another(word: str) -> bool:
+    """Returns whether a text without this word, number or sign might say something else."""
+    return word in _MEANS_ANOTHER or word.isnumeric() or not (word.isalnum() or word.isascii())
 
 
 def _is_one_edit(one: str, other: str) -> bool:

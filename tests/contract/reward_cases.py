@@ -32,7 +32,7 @@ class Bright(_MeanPixel):
     """A reward model of one camera: a text that begins with `more` fits bright frames. It fails where told to."""
 
     cameras = ("top",)
-    grammar = Grammar((LESS, MORE), ("raise", "nan"))
+    grammar = Grammar((LESS, MORE), ("on", "raise", "nan"))
 
     def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> ImageEmbeddings:
         brightness = views["top"].mean(axis=(1, 2, 3)) / 255
@@ -120,6 +120,7 @@ def cases(version: str) -> Cases:
         reward("invalid_input", goal_text=""),
         reward(goal_text="More is on: less!", rivals=()),
         reward(goal_text="more zeppelins", rivals=("less zeppelins",)),
+        reward("invalid_input", goal_text="more on less on more", rivals=()),
         reward("invalid_input", goal_text="!?"),
         reward("invalid_input", goal_text="a" * 2_001),
         reward("invalid_input", rivals=()),

@@ -355,9 +355,11 @@ async def test_the_openapi_document_is_valid_and_has_the_fields_of_the_proto(
             )
 
 
-async def test_words_that_the_reward_models_do_not_know_are_named_over_every_transport(open_service: Any) -> None:
+async def test_words_that_the_reward_models_do_not_know_are_named_and_asked_back(
+    open_service: Any,
+) -> None:
     transports = await open_service("reward")
-    goal, phrases = "Put more zeppelins on it, zeppelins!", ("a red zeppelin", "a block")
+    goal, phrases = "Put more zeppelins on less, zeppelins!", ("a red zeppelin", "a block")
     requests = [
         reward_cases.reward(goal_text=goal),
         reward_cases.embed_goal(goal),
@@ -367,8 +369,9 @@ async def test_words_that_the_reward_models_do_not_know_are_named_over_every_tra
     for transport in transports.all:
         answers = [(await transport(transports.method(name), request))[0] for name, request, _ in requests]
         named = [answer.unknown for answer in answers]
-        assert named == [("zeppelins", "it"), ("zeppelins", "it"), ("zeppelin",), ("zeppelin",)]
+        assert named == [("zeppelins",), ("zeppelins",), ("zeppelin",), ("zeppelin",)]
         assert not answers[0].rewards.any()
+        assert answers[0].did_you_mean == answers[1].did_you_mean == "more on top of less"
 
 
 def _names(message: Descriptor) -> list[str]:

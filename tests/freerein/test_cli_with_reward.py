@@ -79,10 +79,11 @@ def test_a_table_says_which_text_fits_best(folder: Path) -> None:
     assert [line.split()[-1] for line in lines[1:4]] == ["less", "less", "more"]
 
 
-def test_a_table_names_the_words_that_the_model_does_not_know(folder: Path) -> None:
-    shown = _run("reward", str(folder / "frames"), "--goal", "more crimson, more amber", "--rival", "less")
+def test_a_table_names_the_words_that_the_model_does_not_know_and_asks_back(folder: Path) -> None:
+    shown = _run("reward", str(folder / "frames"), "--goal", "more crimson on less amber", "--rival", "less")
 
-    assert shown.stdout.splitlines()[-1] == "The model does not know crimson, amber: the goal is never rewarded."
+    named = "The model does not know crimson, amber: the goal is never rewarded."
+    assert shown.stdout.splitlines()[-2:] == [named, "Did you mean: more on top of less?"]
 
 
 def test_heatmaps_are_drawn_beside_the_image(folder: Path) -> None:

@@ -221,7 +221,8 @@ def test_a_statement_in_any_wording_reads_back(data: st.DataObject, statement: S
 )
 def test_any_text_is_read_or_not(text: str) -> None:
     read = GRAMMAR.read(text)
-    assert read.statement is None or not read.unknown
+    assert read.statement is None or not (read.unknown or read.did_you_mean)
+    assert GRAMMAR.read(read.did_you_mean).text == read.did_you_mean
     assert read.text == (read.statement.caption if read.statement else text)
     assert all(0 < len(word) <= MAX_UNKNOWN_CHARACTERS for word in read.unknown)
     assert len(read.rivals) in (0, len(SpatialRelation) - 1, len(SpatialRelation))

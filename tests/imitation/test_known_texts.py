@@ -44,6 +44,10 @@ def test_a_relation_of_known_objects_is_read_as_its_caption() -> None:
             ("legen", "sie", "den", "gelben", "links", "neben", "gr\u00fcnen"),
         ),
         (f"\N{NO ENTRY SIGN} {RIGHT}", ("\N{NO ENTRY SIGN}",)),
+        (f"put two {RIGHT}", ("two",)),
+        (f"every {RIGHT}", ("every",)),
+        (f"{LEFT} on top of a green block", ("on", "top")),
+        ("a yellow block to the left of a yellow block", ()),
         (f"{LEFT} {RIGHT}", ()),
         ("a yellow block", ()),
     ],
@@ -52,7 +56,12 @@ def test_what_the_grammar_cannot_read_is_no_goal_and_its_unknown_words_are_named
     text: str, unknown: tuple[str, ...]
 ) -> None:
     read = KNOWN.read(text)
-    assert (read.training_text, read.caption, read.unknown) == (None, None, unknown)
+    assert (read.training_text, read.caption, read.unknown, read.did_you_mean) == (None, None, unknown, "")
+
+
+def test_a_text_near_a_training_text_is_asked_back() -> None:
+    read = KNOWN.read("put the yelow block to the left of the green block")
+    assert (read.training_text, read.caption, read.unknown, read.did_you_mean) == (None, None, ("yelow",), LEFT)
 
 
 def test_a_negation_that_was_trained_is_followed_and_its_words_name_no_object() -> None:
@@ -60,7 +69,7 @@ def test_a_negation_that_was_trained_is_followed_and_its_words_name_no_object() 
     known = KnownTexts((LEFT, negated))
     assert known.read(f"Please {negated}.").training_text == negated
     read = known.read("do not put the green block to the right of the yellow block")
-    assert (read.training_text, read.caption) == (None, None)
+    assert (read.training_text, read.caption, read.unknown) == (None, None, ("not",))
 
 
 def test_texts_that_relate_nothing_are_known_by_their_words() -> None:

@@ -144,6 +144,11 @@ async def test_only_the_texts_that_it_was_trained_for_are_goals(served: Served, 
     for other in ("a blue block", "do not put the red block on the yellow one", "a yellow block on top of a red block"):
         with pytest.raises(InvalidInput, match=f"what this policy was trained for: {GOAL}; got another text"):
             await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text=other), model=model))
+    with pytest.raises(InvalidInput) as error:
+        await served.acts.act(
+            ActRequest(seen(FRAMES[0]), Goal(text="a red blok on top of a yellow block"), model=model)
+        )
+    assert error.value.hint.startswith(f"Hold the robot. Did you mean: {GOAL}?")
 
 
 async def test_discrete_actions_are_served_too(served: Served, tmp_path: Path) -> None:

@@ -259,6 +259,9 @@ def test_the_reward_model_is_pinned_and_what_it_cannot_reward_refused_at_once(re
         LearnedReward(reward, "a red block", CAMERA).resolve(camera)
     with pytest.raises(InvalidInput, match="does not know crimson, amber"):
         LearnedReward(reward, "the crimson block is on the amber one", CAMERA).resolve(camera)
+    with pytest.raises(InvalidInput, match="does not know blok") as error:
+        LearnedReward(reward, GOAL.replace("block", "blok"), CAMERA).resolve(camera)
+    assert error.value.hint == f"Did you mean: {GOAL}?"
     with pytest.raises(FailedPrecondition, match="active model"):
         LearnedReward(reward, GOAL, CAMERA, ModelRef("another")).resolve(camera)
 

@@ -31,7 +31,7 @@ class Colours:
 
     def __init__(self, *cameras: str) -> None:
         self.cameras = cameras
-        self.grammar = Grammar(("a red block", "a blue block"), (*COLOURS, "a", "nan", "short"))
+        self.grammar = Grammar(("a red block", "a blue block"), (*COLOURS, "a block on top of apart", "nan", "short"))
         self.frames_per_call: list[int] = []
         self.read: list[str] = []
 
@@ -179,6 +179,41 @@ async def test_a_goal_text_of_unknown_words_is_refused_by_their_names_rather_tha
     with pytest.raises(InvalidInput, match=f"does not know {unknown}[.]") as caught:
         await rewarder.reward(RewardRequest(text, {"top": frames("red")}))
     assert caught.value.field == "goal_text"
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("a red block on top of a red block", "Send `rivals`"),
+        ("a red block on a blue block on a red block", "Send `rivals`"),
+        ("a blue red on top", "Send `rivals`"),
+        ("a blue red apart", "Did you mean: a blue block apart from a red block?"),
+    ],
+)
+async def test_a_goal_text_of_known_words_that_states_nothing_is_refused_and_scored_only_against_rivals(
+    start: Start, text: str, hint: str
+) -> None:
+    rewarder = await start(Colours("top"))
+    with pytest.raises(InvalidInput, match="states no relation of two different things") as caught:
+        await rewarder.reward(RewardRequest(text, TOP_RED))
+    assert caught.value.hint.startswith(hint)
+
+    answer = await rewarder.reward(RewardRequest(text, TOP_RED, rivals=("green",)))
+
+    assert (answer.texts, answer.rewards.tolist()) == ((text, "green"), [1])
+
+
+async def test_the_nearest_statement_is_asked_back_and_not_rewarded(start: Start) -> None:
+    rewarder, text = await start(Colours("top")), "a red blok on top of a blue block"
+
+    answer = await rewarder.reward(RewardRequest(text, TOP_RED))
+    embedded = await rewarder.embed_goal(EmbedGoalRequest(text))
+
+    assert answer.did_you_mean == embedded.did_you_mean == "a red block on top of a blue block"
+    assert (answer.texts[0], answer.unknown, answer.rewards.tolist()) == (text, ("blok",), [0])
+    with pytest.raises(InvalidInput, match=r"does not know next\.") as caught:
+        await rewarder.reward(RewardRequest("red next to blue", TOP_RED))
+    assert caught.value.hint == "Did you mean: a red block to the left of a blue block?"
 
 
 async def test_cameras_are_told_apart_by_name_whatever_their_sizes_and_order(start: Start) -> None:
