@@ -15,7 +15,7 @@ BUF = Path(sys.executable).with_name("buf")
 def breaks(proto: Path) -> str:
     """Returns what a contract would break of the released one."""
     command = [BUF, "breaking", proto, "--against", PROTO / "released.binpb"]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120).stdout
 
 
 @pytest.mark.fault("N4")
