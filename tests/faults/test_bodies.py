@@ -170,7 +170,7 @@ def test_a_body_of_small_values_takes_no_more_memory_than_its_bytes(faulty: Any,
     body = b'{"images": [%s[]]}' % (b"[]," * (20 * MiB))
     with Growth(faulty.process) as growth:
         refusal(faulty.http.post(SEGMENT, content=body, headers=JSON), 422)
-    assert growth.most < 3 * len(body)  # in parts, whole, and what the allocator holds back
+    assert growth.most < 3.5 * len(body)  # in parts, whole, and what the allocator holds back
 
 
 @pytest.mark.fault("C5")

@@ -1,6 +1,7 @@
 """Video: what a decoder returns, and what becomes of files that are damaged, hostile, or no video."""
 
 import os
+import select
 import signal
 import struct
 from collections.abc import Callable
@@ -13,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 import psutil
 import pytest
-from tests.child_processes import children_running, stop
+from tests.child_processes import children_running
 
 from freerein.errors import InvalidInput, Unimplemented, UnsupportedMedia
-from freerein.video import VideoBounds, open_video
+from freerein.video import Video, VideoBounds, open_video
 
 EncodeVideo = Callable[..., bytes]
 FRAMES, HEIGHT, WIDTH = 12, 64, 96
@@ -253,10 +254,21 @@ def test_a_decoder_that_yields_no_first_frame_is_given_up(h264: bytes) -> None:
     assert not decoders()
 
 
+def stopped_before_its_first_frame(source: bytes) -> Video:
+    """Returns a video whose decoder has stopped, and has written nothing; one that was faster is closed."""
+    while True:
+        video = open_video(source, bounds=VideoBounds(first_frame_s=600.0))
+        os.kill(video._process.pid, signal.SIGSTOP)
+        changed = os.waitid(os.P_PID, video._process.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+        assert changed is not None
+        if changed.si_code == os.CLD_STOPPED and not select.select([video._pipe], [], [], 0)[0]:
+            return video
+        video.close()
+
+
 @pytest.mark.fault("F14")
 def test_a_video_waits_for_no_other_videos_first_frame(h264: bytes) -> None:
-    stopped = open_video(h264, bounds=VideoBounds(first_frame_s=600.0))
-    stop(psutil.Process(stopped._process.pid))
+    stopped = stopped_before_its_first_frame(h264)
     with ThreadPoolExecutor(2) as threads, closing(stopped):
         waiting = threads.submit(lambda: stopped.info)
         try:

@@ -77,7 +77,7 @@ def learner(
 
 
 def test_unseen_goals_are_reached_and_recognised(tmp_path: Path) -> None:
-    fitted = fit(learner(), tmp_path)
+    fitted = fit(learner(replace(FAST, steps=400, evaluate_every=200)), tmp_path)
     assert fitted is not None
     threshold = reached_threshold(fitted.network.recognizer, learner().validation)
     policy = GoalImagesPolicy(fitted.network, ControlSpec(0.1, threshold, 30))

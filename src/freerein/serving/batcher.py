@@ -170,9 +170,9 @@ class Batcher(Generic[I, O]):
     def _work(self) -> None:
         while batch := self._next_batch():
             self._metrics.batches.observe(len(batch))
-            started_ns, self._call_began = time.perf_counter_ns(), time.monotonic()
+            started_ns = time.perf_counter_ns()
             try:
-                outputs = self._call([queued.item for queued in batch])
+                outputs = self._outputs([queued.item for queued in batch])
                 if len(outputs) != len(batch):
                     raise ValueError(f"the model returned {len(outputs)} outputs for {len(batch)} items")
             except Exception:  # whatever a model raises is a fault of the model
@@ -181,8 +181,14 @@ class Batcher(Generic[I, O]):
             else:
                 self._faults = 0
                 _answer(batch, outputs, infer_ns=time.perf_counter_ns() - started_ns)
-            finally:
-                self._call_began = None
+
+    def _outputs(self, items: list[I]) -> Sequence[O | ServiceError]:
+        """Calls the model; who has its answer finds the model idle."""
+        self._call_began = time.monotonic()
+        try:
+            return self._call(items)
+        finally:
+            self._call_began = None
 
     def _fail(self, batch: list[_QueuedItem[I, O]]) -> None:
         """Has each item of a batch run again alone, so that only the faulty ones fail; fails one that was alone.

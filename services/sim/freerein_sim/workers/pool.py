@@ -6,7 +6,7 @@ from contextlib import suppress
 
 from freerein.errors import WorkerLost
 from freerein.fork_server import StartChild, spawn
-from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, ListTasksRequest, ListTasksResponse, Task
+from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, Task
 from freerein_sim.workers.worker import Worker, worker_lost
 
 _LOG = logging.getLogger(__name__)
@@ -49,8 +49,7 @@ class WorkerPool:
         except WorkerLost:
             await self.close()
             raise
-        listed = await workers[0].call(ListTasksRequest(), ListTasksResponse)
-        self.tasks = {task.name: task for task in listed.tasks}
+        self.tasks = {task.name: task for task in workers[0].tasks}
 
     async def place(self, num_envs: int) -> Worker:
         """Returns the worker with the least load and adds `num_envs` to it; the caller subtracts it again.

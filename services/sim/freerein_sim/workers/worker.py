@@ -15,7 +15,7 @@ from typing import TypeVar, cast
 from freerein.errors import WorkerLost
 from freerein.fork_server import ChildProcess, Program, StartChild
 from freerein.types.common import Error, error_from
-from freerein.types.sim import ListTasksRequest, ListTasksResponse
+from freerein.types.sim import ListTasksRequest, ListTasksResponse, Task
 from freerein_sim.workers import protocol
 
 _LOG = logging.getLogger(__name__)
@@ -32,10 +32,12 @@ class Worker:
 
     Attributes:
         load: Number of environments placed on it, maintained by the caller.
+        tasks: The tasks that it has environments of.
     """
 
     def __init__(self, process: ChildProcess, connection: "Connection", *, stuck_s: float) -> None:
         self.load = 0
+        self.tasks: tuple[Task, ...] = ()
         self._process = process
         self._connection = connection
         self._stuck_s = stuck_s
@@ -55,10 +57,11 @@ class Worker:
             process = start_child(Program("freerein_sim.workers", (), environ, theirs.fileno(), 1, 2))
         worker = cls(process, connection, stuck_s=stuck_s)
         try:
-            await worker.call(ListTasksRequest(), ListTasksResponse, timeout_s=_START_S)
+            listed = await worker.call(ListTasksRequest(), ListTasksResponse, timeout_s=_START_S)
         except asyncio.CancelledError:
             await worker.close()
             raise
+        worker.tasks = tuple(listed.tasks)
         return worker
 
     @property
