@@ -136,15 +136,17 @@ class Http2:
             self.ended.setdefault(stream, "")
 
     def _frames(self) -> Iterator[tuple[int, int, int, bytes]]:
-        with self._socket.makefile("rb") as received:
-            while header := self._exactly(received, 9):
+        with self._socket.makefile("rb") as received, suppress(OSError, EOFError):
+            while True:
+                header = self._exactly(received, 9)
                 kind, flags, stream = struct.unpack(">BBI", header[3:])
-                size = int.from_bytes(header[:3], "big")
-                yield kind, flags, stream & 0x7FFFFFFF, self._exactly(received, size)
+                payload = self._exactly(received, int.from_bytes(header[:3], "big"))
+                yield kind, flags, stream & 0x7FFFFFFF, payload
 
     @staticmethod
     def _exactly(received: Any, size: int) -> bytes:
-        try:
-            return bytes(received.read(size))
-        except OSError:
-            return b""
+        """Reads so many bytes; raises EOFError where a connection ends, which may be within a frame."""
+        content = bytes(received.read(size))
+        if len(content) < size:
+            raise EOFError
+        return content
