@@ -17,7 +17,7 @@ BYTES = {"raw", "snapshot"}
 """Numbers of a tensor; a snapshot, which holds a state and no model."""
 
 NUMBERS = {
-    *("num_envs", "envs", "height", "width"),  # the size of a scene is its task's
+    *("num_envs", "envs", "sources", "height", "width"),  # the size of a scene is its task's
     *("seed", "step_id", "action_repeat", "lease_s", "privileged"),
     *("behaviour", "min_skills", "max_skills", "count", "first", "max_episode_steps"),
     "shape",

@@ -148,6 +148,22 @@ class Clients(RuleBasedStateMachine):
         if isinstance(self.check(held, restore(), like), tuple):
             held.last = None
 
+    @rule(
+        held=held,
+        snapshot=kept,
+        chosen=st.sampled_from([((0,), (0,)), ((1,), (0,)), ((0, 1), (1, 1)), ((1, 0), (0, 1)), ((0, 1), (0,))]),
+    )
+    def restore_single_envs(self, held: Held, snapshot: bytes, chosen: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+        async def restore() -> object:
+            return (await self.sessions.restore(RestoreRequest(held.session, snapshot, *chosen))).step_id
+
+        def like() -> object:
+            held.envs.restore(snapshot, *chosen)
+            return held.envs.step_id
+
+        if isinstance(self.check(held, restore(), like), tuple):
+            held.last = None
+
     @rule(held=held)
     def close(self, held: Held) -> None:
         self.service.run(self.sessions.close_session(CloseSessionRequest(held.session)))

@@ -259,15 +259,28 @@ class SnapshotResponse:
 
 @dataclass(frozen=True)
 class RestoreRequest:
-    """Restores a snapshot into a session of the same task, conditions and number of environments."""
+    """Restores a snapshot into a session of the same task and conditions.
+
+    Attributes:
+        envs: Indices of environments of the session to restore, each once; they keep their generators, the others and
+            `step_id` stay as they are, and the snapshot may have another number of environments. Empty for the whole
+            session.
+        sources: For each of `envs`, the index of the environment of the snapshot whose state it takes; may be repeated.
+    """
 
     session: str
     snapshot: bytes
+    envs: tuple[int, ...] = ()
+    sources: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
 class RestoreResponse:
-    """The session is restored; `step_id` is the last step before the snapshot."""
+    """The session is restored.
+
+    Attributes:
+        step_id: Last step before the snapshot or, of a restore of `envs`, the session's last.
+    """
 
     step_id: int
 

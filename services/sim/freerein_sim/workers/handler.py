@@ -158,7 +158,7 @@ def _answer_in_session(envs: VectorEnv, request: object) -> object:
         case sim.SnapshotRequest():
             response = sim.SnapshotResponse(envs.snapshot())
         case sim.RestoreRequest():
-            envs.restore(request.snapshot)
+            envs.restore(request.snapshot, request.envs, request.sources)
             response = sim.RestoreResponse(envs.step_id)
         case sim.CheckRequest():
             response = check(envs.task, request)

@@ -1,6 +1,6 @@
 """A vector of environments of one task, stepped together: a session without a service. Synchronous, single-threaded."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from typing import Any
 
@@ -54,7 +54,7 @@ class VectorEnv:
         max_episode_steps: Steps after which an episode is truncated; 0 means the task's own.
 
     Attributes:
-        step_id: Steps made in total; not changed by `reset`, set by `restore`.
+        step_id: Steps made in total; not changed by `reset`, set by `restore` of all environments.
     """
 
     def __init__(
@@ -183,18 +183,37 @@ class VectorEnv:
         envs = tuple(snapshots.EnvState(steps, rng, world.snapshot()) for steps, rng, world in states)
         return snapshots.encode(snapshots.Snapshot(self.task.name, self._worlds[0].fingerprint, self.step_id, envs))
 
-    def restore(self, snapshot: bytes) -> None:
-        """Restores a snapshot of the same task, build, conditions and number of environments."""
+    def restore(self, snapshot: bytes, envs: Sequence[int] = (), sources: Sequence[int] = ()) -> None:
+        """Restores a snapshot of the same task, build and conditions.
+
+        Args:
+            snapshot: What `snapshot` returned; of N environments, where `envs` is empty.
+            envs: Indices of M environments, each once, whose worlds are restored; they keep their generators, and
+                `step_id` and the other environments stay as they are. Empty for all, with generators and `step_id`.
+            sources: M indices: the environment of the snapshot whose state each of `envs` takes; may be repeated.
+
+        Raises:
+            InvalidInput: The snapshot is damaged or has an episode that is over, or an index is out of range.
+            FailedPrecondition: The snapshot is of another task, build, condition or number of environments, or there
+                was no reset before a restore of `envs`.
+        """
         check_saves(self._worlds[0])
         state = snapshots.decode(snapshot)
-        self._check_compatible(state)
-        if any(env.steps >= self._max_steps for env in state.envs):
+        _check_sources(sources, num_envs=len(envs), num_saved=len(state.envs))
+        self._check_compatible(state, num_envs=0 if envs else self.num_envs)
+        if envs:
+            self._check_reset("Restore of single environments")
+        saved = [state.envs[source] for source in sources] or state.envs
+        states = dict(zip(self._chosen(envs), saved, strict=True))
+        if any(env.steps >= self._max_steps for env in states.values()):
             raise must_be("snapshot", "of episodes that go on", "one that is over")
-        self._restore_worlds(state.envs)
-        self._rngs = [env.rng for env in state.envs]
-        self._steps = np.array([env.steps for env in state.envs], np.int64)
-        self.step_id = state.step_id
-        self._experts.clear()
+        self._restore_worlds(states)
+        for i, env in states.items():
+            self._steps[i] = env.steps
+            self._experts.pop(i, None)
+        if not envs:
+            self._rngs = [env.rng for env in state.envs]
+            self.step_id = state.step_id
         self._is_reset = True
 
     def close(self) -> None:
@@ -252,11 +271,12 @@ class VectorEnv:
                 for recipe in recipes:
                     world.reset(np.random.default_rng(0), recipe=recipe.skills)
 
-    def _restore_worlds(self, states: Sequence[snapshots.EnvState]) -> None:
-        """Restores all worlds, or none."""
-        before = [world.snapshot() for world in self._worlds] if self._is_reset else []
+    def _restore_worlds(self, states: Mapping[int, snapshots.EnvState]) -> None:
+        """Restores the worlds of some environments, or none."""
+        before = {i: self._worlds[i].snapshot() for i in states} if self._is_reset else {}
         try:
-            for world, state in zip(self._worlds, states, strict=True):
+            for i, state in states.items():
+                world = self._worlds[i]
                 world.restore(state.world)
                 steps = getattr(world, "steps", None)  # worlds of other packages may lack it
                 if steps not in (None, state.steps):
@@ -266,8 +286,8 @@ class VectorEnv:
                         hint="Send it back unchanged.",
                     )
         except InvalidInput:
-            for world, earlier in zip(self._worlds, before, strict=False):
-                world.restore(earlier)
+            for i, earlier in before.items():
+                self._worlds[i].restore(earlier)
             raise
 
     def _chosen(self, envs: Sequence[int]) -> Sequence[int]:
@@ -275,7 +295,7 @@ class VectorEnv:
             raise InvalidInput(
                 f"`envs` must name environments 0 to {self.num_envs - 1}, each once; got others, or one twice.",
                 field="envs",
-                hint="Leave it empty to reset all.",
+                hint="Leave it empty for all.",
             )
         if not self._is_reset and 0 < len(envs) < self.num_envs:
             raise FailedPrecondition(
@@ -304,19 +324,31 @@ class VectorEnv:
         if not self._is_reset:
             raise FailedPrecondition(f"{call} needs episodes; there was no reset yet.", hint="Call `Reset` first.")
 
-    def _check_compatible(self, snapshot: snapshots.Snapshot) -> None:
+    def _check_compatible(self, snapshot: snapshots.Snapshot, *, num_envs: int) -> None:
+        """Checks that a snapshot can be restored, and has `num_envs` environments; 0 for any number."""
         if snapshot.task != self.task.name or snapshot.fingerprint != self._worlds[0].fingerprint:
             got = "of another task, build or conditions"
-        elif len(snapshot.envs) != self.num_envs:
+        elif num_envs and len(snapshot.envs) != num_envs:
             got = f"of {len(snapshot.envs)} environments"
         else:
             return
+        number = f", and of {num_envs} environments" if num_envs else ""
         raise FailedPrecondition(
-            f"`snapshot` must be of this session's task, build and conditions, and of {self.num_envs} environments; "
-            f"got one {got}.",
+            f"`snapshot` must be of this session's task, build and conditions{number}; got one {got}.",
             field="snapshot",
             hint="Create a session like the one that the snapshot was taken from.",
         )
+
+
+def _check_sources(sources: Sequence[int], *, num_envs: int, num_saved: int) -> None:
+    """Checks that there is one of `num_saved` saved environments for each of those to restore."""
+    if len(sources) != num_envs:
+        rule = f"{num_envs} indices, one for each of `envs`"
+        raise must_be("sources", rule, len(sources), hint="Leave both empty for the whole session.")
+    for source in sources:
+        if not 0 <= source < num_saved:
+            rule = f"indices of the snapshot's environments, 0 to {num_saved - 1}"
+            raise must_be("sources", rule, source, hint="Count the environments of the session that was saved.")
 
 
 def _check_action_repeat(action_repeat: int) -> None:

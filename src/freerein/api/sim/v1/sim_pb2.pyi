@@ -779,19 +779,33 @@ class RestoreRequest(_message.Message):
 
     SESSION_FIELD_NUMBER: _builtins.int
     SNAPSHOT_FIELD_NUMBER: _builtins.int
+    ENVS_FIELD_NUMBER: _builtins.int
+    SOURCES_FIELD_NUMBER: _builtins.int
     session: _builtins.str
-    """The session; of the snapshot's task, conditions and number of environments."""
+    """The session; of the snapshot's task and conditions and, where `envs` is empty, of its number of environments."""
     snapshot: _builtins.bytes
     """As returned by Snapshot."""
+    @_builtins.property
+    def envs(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
+        """Indices of environments of the session to restore, each once; the others, and the session's `step_id`, stay as they
+        are. An environment keeps its generator, so that its later episodes are its own. Empty for the whole session.
+        """
+
+    @_builtins.property
+    def sources(self) -> _containers.RepeatedScalarFieldContainer[_builtins.int]:
+        """For each of `envs`, the index of the environment of the snapshot whose state it takes; an index may be repeated."""
+
     def __init__(
         self,
         *,
         session: _builtins.str = ...,
         snapshot: _builtins.bytes = ...,
+        envs: _abc.Iterable[_builtins.int] | None = ...,
+        sources: _abc.Iterable[_builtins.int] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["session", b"session", "snapshot", b"snapshot"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["envs", b"envs", "session", b"session", "snapshot", b"snapshot", "sources", b"sources"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -805,7 +819,7 @@ class RestoreResponse(_message.Message):
 
     STEP_ID_FIELD_NUMBER: _builtins.int
     step_id: _builtins.int
-    """Last step before the snapshot; the next step_id is one more."""
+    """Last step before the snapshot or, of a restore of `envs`, the session's last; the next step_id is one more."""
     def __init__(
         self,
         *,

@@ -157,7 +157,7 @@ class SimServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Restore(self, request, context):
-        """Restores a snapshot; the same actions then give the same bits.
+        """Restores a snapshot, or some environments from one; the same actions then give the same bits.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

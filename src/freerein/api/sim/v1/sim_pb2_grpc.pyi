@@ -50,7 +50,7 @@ class SimServiceStub:
     Snapshot: _grpc.UnaryUnaryMultiCallable[_sim_pb2.SnapshotRequest, _sim_pb2.SnapshotResponse]
     """Returns the complete state of a session."""
     Restore: _grpc.UnaryUnaryMultiCallable[_sim_pb2.RestoreRequest, _sim_pb2.RestoreResponse]
-    """Restores a snapshot; the same actions then give the same bits."""
+    """Restores a snapshot, or some environments from one; the same actions then give the same bits."""
     Demonstrate: _grpc.UnaryStreamMultiCallable[_sim_pb2.DemonstrateRequest, _sim_pb2.DemonstrateResponse]
     """Records a scripted policy and streams trajectories as they finish."""
     DrawRecipes: _grpc.UnaryUnaryMultiCallable[_sim_pb2.DrawRecipesRequest, _sim_pb2.DrawRecipesResponse]
@@ -84,7 +84,7 @@ class SimServiceAsyncStub(SimServiceStub):
     Snapshot: _aio.UnaryUnaryMultiCallable[_sim_pb2.SnapshotRequest, _sim_pb2.SnapshotResponse]  # type: ignore[assignment]
     """Returns the complete state of a session."""
     Restore: _aio.UnaryUnaryMultiCallable[_sim_pb2.RestoreRequest, _sim_pb2.RestoreResponse]  # type: ignore[assignment]
-    """Restores a snapshot; the same actions then give the same bits."""
+    """Restores a snapshot, or some environments from one; the same actions then give the same bits."""
     Demonstrate: _aio.UnaryStreamMultiCallable[_sim_pb2.DemonstrateRequest, _sim_pb2.DemonstrateResponse]  # type: ignore[assignment]
     """Records a scripted policy and streams trajectories as they finish."""
     DrawRecipes: _aio.UnaryUnaryMultiCallable[_sim_pb2.DrawRecipesRequest, _sim_pb2.DrawRecipesResponse]  # type: ignore[assignment]
@@ -163,7 +163,7 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _sim_pb2.RestoreRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_sim_pb2.RestoreResponse, _abc.Awaitable[_sim_pb2.RestoreResponse]]:
-        """Restores a snapshot; the same actions then give the same bits."""
+        """Restores a snapshot, or some environments from one; the same actions then give the same bits."""
 
     @_abc_1.abstractmethod
     def Demonstrate(
