@@ -25,7 +25,8 @@ TOLD_OWN, WORDINGS = "told.own", "told.wordings"
 
 GOAL_CLONING, GOAL_CONDITIONED = "goal_cloning", "goal_conditioned"
 SKILLS, EXPERT = "skills", "expert"
-PPO, PPO_OWN_STARTS, LANGUAGE, PPO_SPEED = "ppo_training", "ppo_own_starts", "language", "ppo_speed"
+PPO, PPO_OWN_STARTS, PPO_PRACTICE = "ppo_training", "ppo_own_starts", "ppo_practice"
+LANGUAGE, PPO_SPEED = "language", "ppo_speed"
 
 SIDES = ("blocks.yellow-left-of-green", "blocks.yellow-right-of-green")
 STACK = "blocks.yellow-on-top-of-green"
@@ -54,6 +55,15 @@ without a verb has nothing that is held out.
 _HELD_OUT_SEED = 1_000_003
 _LABEL_STEPS = 4000
 """Twice the default: with tags of two or three skills, a fit may confuse two of four for 1 500 steps."""
+
+_STARTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        PPO: {"conditions": [CURRICULUM]},
+        PPO_OWN_STARTS: {"conditions": []},
+        PPO_PRACTICE: {"conditions": [], "practice_share": 0.5},
+    }
+)
+"""Where episodes of a training by PPO begin, by method."""
 
 _LANDMARK_EPISODES, _RECIPES, _RETURN_EPISODES = 128, 100, 100
 _SENTENCE_EPISODES = 32
@@ -130,7 +140,7 @@ def _expert_recipes(arm: Arm) -> list[Step]:
 
 def _reinforce(arm: Arm) -> list[Step]:
     return [
-        step("ppo", "ppo", task=arm.world, conditions=[CURRICULUM] if arm.method == PPO else [], seed=arm.seed),
+        step("ppo", "ppo", task=arm.world, **_STARTS[arm.method], seed=arm.seed),
         _evaluate("returns", task=arm.world, policy={"run": "ppo"}, baseline="random", episodes=_RETURN_EPISODES),
     ]
 
@@ -264,6 +274,7 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
         EXPERT: PolicyArm(_expert_recipes, _samples(_recipe_samples)),
         PPO: _REINFORCED,
         PPO_OWN_STARTS: _REINFORCED,
+        PPO_PRACTICE: _REINFORCED,
         LANGUAGE: PolicyArm(_obey, _samples(_sentence_samples)),
     }
 )
@@ -276,10 +287,5 @@ def arms(seeds: int) -> tuple[Arm, ...]:
     return (
         Arm(DEMONSTRATED, EXPERT),
         *(Arm(DEMONSTRATED, method, seed=seed) for seed in range(seeds) for method in fitted),
-        *(
-            Arm(task, method, seed=seed)
-            for method in (PPO, PPO_OWN_STARTS)
-            for seed in range(PPO_SEEDS)
-            for task in (*SIDES, STACK)
-        ),
+        *(Arm(task, method, seed=seed) for method in _STARTS for seed in range(PPO_SEEDS) for task in (*SIDES, STACK)),
     )

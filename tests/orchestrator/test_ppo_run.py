@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from freerein.cli.__main__ import app
 from freerein.clients import Channel, ImitationClient, SyncClient
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
+from freerein.learning import checkpoints
 from freerein.learning.actor_critic.policy_files import load_policy
 from freerein.types.common import Goal, Image, ModelRef, Observation
 from freerein.types.imitation import ActRequest, ActResponse
@@ -182,6 +183,22 @@ def test_a_run_outlives_a_service_that_is_killed_and_ends_with_the_same_weights(
     assert run.do(stop=Killer(services[name], run))
     assert run.artifact("policy.json") == trained.artifact("policy.json")
     assert sum(row["recoveries"] for row in run.rows) >= 1
+
+
+def test_a_run_that_practises_outlives_a_sim_that_is_killed_and_ends_with_the_same_weights(
+    ppo: Callable[..., Any], services: dict[str, Any]
+) -> None:
+    config = {"task": "blocks.red-left-of-yellow", "practice_share": 1.0, "num_steps": 16, "iterations": 3}
+    undisturbed, killed = ppo(**config), ppo(**config)
+    assert undisturbed.do()
+    assert killed.do(stop=Killer(services["sim"], killed))
+    card = undisturbed.artifact("policy.json")
+    assert card["supervision"].endswith("; episodes of training began in states that earlier ones had visited")
+    assert killed.artifact("policy.json") == card
+    saved = checkpoints.newest(undisturbed.folder / "checkpoints", on_corrupt=lambda *_: None)
+    assert saved is not None
+    memories = [saved.tensors[f"collector/env/{index}"].numpy().tobytes() for index in (1, 3)]  # each after its sim's
+    assert any(json.loads(each[8 : 8 + int.from_bytes(each[:8])])["starts"] for each in memories)
 
 
 def test_a_run_over_two_sims_resumes_over_two_only(ppo: Callable[..., Any], services: dict[str, Any]) -> None:

@@ -198,6 +198,22 @@ def test_envs_split_over_two_sims_are_as_many_and_differ(sim: SyncClient) -> Non
         each.close()
 
 
+def test_single_envs_are_set_to_earlier_states_of_any_env(sim: SyncClient) -> None:
+    envs = open_envs(sim, sim, reward_fn=zero_reward)
+    envs.reset()
+    rng = np.random.default_rng(0)
+    passed = [envs.step(draw_actions(rng)).observations for _ in range(4)][-1]
+    states = envs.states()
+    now = envs.step(draw_actions(rng)).observations
+    assert not np.array_equal(passed, now)
+    frames = envs.begin_at({0: states[2], 2: states[1]})
+    np.testing.assert_array_equal(frames, [passed[2], now[1], passed[1]])
+    following = envs.step(np.zeros((3, 3), np.float32)).observations
+    envs.begin_at({1: states[2]})
+    again = envs.step(np.zeros((3, 3), np.float32)).observations
+    np.testing.assert_array_equal(again[1], following[0])
+
+
 def test_sessions_of_sims_that_hang_are_left_to_their_leases_at_once(
     start_service: Callable[..., Any], wait_until: Callable[..., float], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,8 +8,7 @@ from collections.abc import Callable, Sequence
 
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein_orchestrator.envs.retry import Retry
-from freerein_orchestrator.envs.vector_env import RemoteVectorEnv
-from freerein_orchestrator.rl.env_groups import EnvGroups, collect_groups
+from freerein_orchestrator.rl.env_groups import ClosableVecEnv, EnvGroups, collect_groups
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer
 
 
@@ -26,13 +25,13 @@ class RecoveringCollector:
     """
 
     def __init__(
-        self, open_envs: Callable[[Sequence[bytes]], EnvGroups[RemoteVectorEnv]], *, num_steps: int, retry: Retry
+        self, open_envs: Callable[[Sequence[bytes]], EnvGroups[ClosableVecEnv]], *, num_steps: int, retry: Retry
     ) -> None:
         self.recoveries = 0
         self._open_envs = open_envs
         self._num_steps = num_steps
         self._retry = retry
-        self._envs: EnvGroups[RemoteVectorEnv] | None = None
+        self._envs: EnvGroups[ClosableVecEnv] | None = None
         self._envs_state: CollectorState | None = None
 
     def collect(self, network: ActorCritic, state: CollectorState) -> tuple[RolloutBuffer, CollectorState]:
@@ -59,7 +58,7 @@ class RecoveringCollector:
         self.recoveries += 1
         self.close()
 
-    def _envs_at(self, state: CollectorState) -> EnvGroups[RemoteVectorEnv]:
+    def _envs_at(self, state: CollectorState) -> EnvGroups[ClosableVecEnv]:
         if self._envs is None or self._envs_state is not state:
             self.close()
             self._envs = self._open_envs(state.env_snapshots)

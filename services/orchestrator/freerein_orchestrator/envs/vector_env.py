@@ -3,7 +3,7 @@
 Rewards are computed behind the steps that follow, for the frames of several steps together.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
@@ -17,12 +17,14 @@ from freerein.errors import ServiceError
 from freerein.types.sim import (
     CloseSessionRequest,
     CreateSessionRequest,
+    RenderRequest,
     ResetRequest,
     RestoreRequest,
     SnapshotRequest,
     StepRequest,
     StepResponse,
 )
+from freerein_orchestrator.envs.practice import Start
 from freerein_orchestrator.rl.env_groups import EnvGroups
 from freerein_orchestrator.rl.errors import IterationRejected
 from freerein_orchestrator.rl.vec_env import Actions, Frames, Rewards, VecStep
@@ -50,9 +52,10 @@ def open_groups(
 ) -> "EnvGroups[RemoteVectorEnv]":
     """Opens environments in two groups that step in turn, or in one where each sim service hosts a single environment.
 
-    Arguments and errors are those of `RemoteVectorEnv`.
+    Arguments and errors are those of `RemoteVectorEnv`. Snapshots are group after group; a group reads its first ones.
     """
     shares = envs_per_sim(request.num_envs, 2 if request.num_envs >= 2 * len(sims) else 1)
+    per_group = len(snapshots) // len(shares)
     with ExitStack() as on_error:
         groups: list[RemoteVectorEnv] = []
         for index, own in enumerate(_split_request(request, shares)):
@@ -62,7 +65,7 @@ def open_groups(
                 camera=camera,
                 reward_fn=reward_fn,
                 action_repeat=action_repeat,
-                snapshots=snapshots[index * len(sims) : (index + 1) * len(sims)],
+                snapshots=snapshots[index * per_group :][: min(per_group, len(sims))],
                 interrupt=interrupt,
             )
             on_error.callback(group.close)
@@ -157,6 +160,20 @@ class RemoteVectorEnv:
         """Returns what restores the environments, one snapshot per sim service."""
         return tuple(self._map(_Session.snapshot))
 
+    def states(self) -> Sequence[Start]:
+        """Returns the present state of each environment."""
+        snapshots = self._map(_Session.snapshot)
+        return [Start(own, env) for own, session in zip(snapshots, self._sessions, strict=True) for env in session.envs]
+
+    def begin_at(self, starts: Mapping[int, Start]) -> Frames:
+        """Sets environments to states of earlier ones, whose episodes go on there; returns all frames (N, H, W, C)."""
+        first = np.cumsum([0, *(len(session.envs) for session in self._sessions)])
+        own = {
+            session: {env: starts[begin + env] for env in session.envs if begin + env in starts}
+            for begin, session in zip(first.tolist(), self._sessions, strict=False)
+        }
+        return np.concatenate(self._map(lambda session: session.begin_at(own[session])))
+
     def close(self) -> None:
         """Closes the sessions that can be reached; the others expire with their leases."""
         self._closing.close()
@@ -202,13 +219,20 @@ class _Session:
     def __init__(self, sim: SyncClient, request: CreateSessionRequest, camera: str, action_repeat: int) -> None:
         self.sim = sim
         self._session: str = sim.create_session(request).session
-        self._num_envs = request.num_envs
+        self.envs = range(request.num_envs)
         self._camera = camera
         self._action_repeat = action_repeat
         self._steps = 0
 
     def restore(self, snapshot: bytes) -> None:
         self._steps = self.sim.restore(RestoreRequest(self._session, snapshot)).step_id
+
+    def begin_at(self, starts: Mapping[int, Start]) -> Frames:
+        """Sets environments to states, those of one snapshot at once; returns the frames of all."""
+        for snapshot in dict.fromkeys(start.snapshot for start in starts.values()):
+            chosen = {env: start.env for env, start in starts.items() if start.snapshot == snapshot}
+            self.sim.restore(RestoreRequest(self._session, snapshot, tuple(chosen), tuple(chosen.values())))
+        return self.sim.render(RenderRequest(self._session, (self._camera,))).frames[self._camera]
 
     def reset(self) -> Frames:
         frames = self.sim.reset(ResetRequest(self._session, cameras=(self._camera,))).frames
@@ -222,7 +246,7 @@ class _Session:
         """Returns a step, given the reply to its request. Raises IterationRejected where that is malformed."""
         self._steps += 1
         frames = reply.frames.get(self._camera)
-        if frames is None or {len(frames), len(reply.terminated), len(reply.truncated)} != {self._num_envs}:
+        if frames is None or {len(frames), len(reply.terminated), len(reply.truncated)} != {len(self.envs)}:
             raise _malformed()
         done, final = reply.terminated | reply.truncated, frames
         if done.any():

@@ -26,8 +26,9 @@ from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.model_files import choose_device
 from freerein.types.common import Camera, ModelRef, check_name
 from freerein.types.sim import CreateSessionRequest, Task
+from freerein_orchestrator.envs.practice import PractisingEnvs
 from freerein_orchestrator.envs.recovery import RecoveringCollector
-from freerein_orchestrator.envs.vector_env import RemoteVectorEnv, RewardFn, open_groups
+from freerein_orchestrator.envs.vector_env import RewardFn, open_groups
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.finished_training import check_sims, find_training
 from freerein_orchestrator.kinds.kind import Kind
@@ -37,7 +38,7 @@ from freerein_orchestrator.rewards import REWARDS, make_rewards
 from freerein_orchestrator.rewards.entry import RewardSetting
 from freerein_orchestrator.rewards.learned import LearnedReward
 from freerein_orchestrator.rl.config import PPOConfig
-from freerein_orchestrator.rl.env_groups import EnvGroups
+from freerein_orchestrator.rl.env_groups import ClosableVecEnv, EnvGroups
 from freerein_orchestrator.rl.goal_eye import ObjectEncoder, fit_eye, load_object_encoder
 from freerein_orchestrator.rl.initial_network import calibrate, network_spec
 from freerein_orchestrator.rl.reward import Reward
@@ -68,6 +69,8 @@ class PPORunConfig(PPOConfig):
             of the service's default reward model.
         conditions: The task's conditions that it is trained under, such as a curriculum of starts.
         action_repeat: Timesteps that each action is held for, or until the episode ends, in training and after it.
+        practice_share: Share of the environments that begin a rollout in a state that an earlier episode of the
+            training passed on its way to a reward; 0 for none. Helps where random actions hardly ever reach the goal.
         episode_steps: Timesteps after which training truncates an episode, so that more of them begin; 0 for the task's
             own length.
         init_from: Initial weights: a run's id, an earlier step of the same pipeline, or a policy among the models of
@@ -90,6 +93,7 @@ class PPORunConfig(PPOConfig):
     conditions: tuple[str, ...] = ()
     action_repeat: int = bounded(2, least=1, most=16)
     episode_steps: int = bounded(50, least=0, most=10_000)
+    practice_share: float = bounded(0.0, least=0.0, most=1.0)
     init_from: str = ""
     resume_from: str = ""
 
@@ -283,17 +287,40 @@ class _Training:
         service = context.client("reward")
         return RewardSetting(config, goal_text, camera, model, service, context.data_dir, config.dataset)
 
-    def _open_envs(self, reward_fn: RewardFn, camera: str, snapshots: Sequence[bytes]) -> EnvGroups[RemoteVectorEnv]:
-        steps = self._config.episode_steps if snapshots else 0  # explorations begin new episodes themselves
-        return open_groups(
+    def _open_envs(self, reward_fn: RewardFn, camera: str, snapshots: Sequence[bytes]) -> EnvGroups[ClosableVecEnv]:
+        config = self._config
+        steps = config.episode_steps if snapshots else 0  # explorations begin new episodes themselves
+        envs = open_groups(
             self.sims,
-            replace(session_request(self._config), max_episode_steps=steps),
+            replace(session_request(config), max_episode_steps=steps),
             camera=camera,
             reward_fn=reward_fn,
-            action_repeat=self._config.action_repeat,
+            action_repeat=config.action_repeat,
             snapshots=snapshots,
             interrupt=self.retry.interrupt,
         )
+        if not (snapshots and config.practice_share):
+            return envs
+        return EnvGroups(
+            [
+                PractisingEnvs(
+                    group,
+                    share=config.practice_share,
+                    num_steps=config.num_steps,
+                    memory=next(iter(own[len(self.sims) :]), None),
+                    seed=(config.seed, index),
+                )
+                for index, (group, own) in enumerate(
+                    zip(envs.groups, _shares(snapshots, len(envs.groups)), strict=True)
+                )
+            ]
+        )
+
+
+def _shares(snapshots: Sequence[bytes], groups: int) -> list[Sequence[bytes]]:
+    """Returns the snapshots of each group."""
+    each = len(snapshots) // groups
+    return [snapshots[group * each : (group + 1) * each] for group in range(groups)]
 
 
 def _copy_policy(policy: StoredPolicy, network: ActorCritic, *_: object) -> None:
@@ -316,6 +343,7 @@ def _card(config: PPORunConfig, state: PPOState, task: Task) -> dict[str, JSON]:
     arranged = (
         f"; the simulator arranged episodes of training: {', '.join(config.conditions)}" if config.conditions else ""
     )
+    practised = "; episodes of training began in states that earlier ones had visited" if config.practice_share else ""
     before = f"; the initial policy had this supervision: {init['supervision']}" if init else ""
     return {
         "task": config.task,
@@ -324,7 +352,7 @@ def _card(config: PPORunConfig, state: PPOState, task: Task) -> dict[str, JSON]:
         "max_episode_steps": task.max_episode_steps,
         **state.inputs,
         "reward": config.reward,
-        "supervision": REWARDS[config.reward].supervision + arranged + before,
+        "supervision": REWARDS[config.reward].supervision + arranged + practised + before,
         "config": asdict(config),
         "figures": {
             "iterations": state.schedule.before + state.iteration,

@@ -28,17 +28,17 @@ class ClosableVecEnv(VecEnv, Protocol):
         """Frees it."""
 
 
-E = TypeVar("E", bound=ClosableVecEnv)
+E_co = TypeVar("E_co", bound=ClosableVecEnv, covariant=True)
 
 
-class EnvGroups(Generic[E]):
+class EnvGroups(Generic[E_co]):
     """Groups of environments as one `VecEnv`.
 
     Attributes:
         groups: In order of their environments.
     """
 
-    def __init__(self, groups: Sequence[E]) -> None:
+    def __init__(self, groups: Sequence[E_co]) -> None:
         self.groups = tuple(groups)
         self.num_envs = sum(group.num_envs for group in groups)
         self._cuts = np.cumsum([group.num_envs for group in groups])[:-1]
@@ -73,7 +73,7 @@ class EnvGroups(Generic[E]):
 
 
 def collect_groups(
-    network: ActorCritic, envs: EnvGroups[E], state: CollectorState, *, num_steps: int
+    network: ActorCritic, envs: EnvGroups[ClosableVecEnv], state: CollectorState, *, num_steps: int
 ) -> tuple[RolloutBuffer, CollectorState]:
     """Returns a rollout and the state after it, as `collect`; each group is collected on a thread of its own.
 
