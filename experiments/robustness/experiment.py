@@ -8,6 +8,7 @@ from types import MappingProxyType
 import torch
 
 from experiments.robustness import (
+    goal_texts,
     policies,
     report,
     reward,
@@ -45,6 +46,7 @@ _FOUND: Mapping[tuple[str, str], Callable[[Path], Outcome]] = MappingProxyType(
         (SCATTERED, "majority"): scenes.evaluate_majority,
         (SCATTERED, "word_blind"): scenes.evaluate_word_blind,
         (SCATTERED, "captions"): scenes.evaluate_captions,
+        (SCATTERED, goal_texts.TEXTS): lambda work: goal_texts.evaluate(),
     }
 )
 """What is evaluated without a fit, by world and method."""
@@ -91,6 +93,8 @@ class RobustnessExperiment(Experiment):
             config["teachers"] = list(self._policies.values())
         if arm.method == policies.PPO_SPEED:
             return config
+        if arm.method == goal_texts.TEXTS:
+            return config | {"reward_model": goal_texts.reward_version()}
         if arm.method in policies.METHODS:
             return config | {"steps": list(policies.METHODS[arm.method].steps(arm))}
         if arm.method == SEGMENTATION:
@@ -108,8 +112,8 @@ class RobustnessExperiment(Experiment):
         return config
 
     def prepare(self, arm: Arm, work: Path) -> bool:
-        """Draws what is learned from and what fits are evaluated on; pipelines draw their own."""
-        if arm.method in policies.METHODS or arm.method == policies.PPO_SPEED:
+        """Draws what is learned from and what fits are evaluated on; pipelines draw their own, and texts need none."""
+        if arm.method in (*policies.METHODS, policies.PPO_SPEED, goal_texts.TEXTS):
             return True
         specs = (segmentation.TRAINING, *segmentation.test_specs().values())
         more: tuple[Spec, ...] = (reward.TRAINING, *scenes.scene_specs().values())

@@ -1,6 +1,6 @@
 """Texts that say what must not be, or how many blocks: no policy may act on them, and no reward may read them.
 
-The forms were chosen before the grammar was asked about any of them.
+All forms but the rarer ones were chosen before the grammar was asked about any.
 """
 
 from freerein.relations import CANONICAL_WORDINGS
@@ -8,7 +8,7 @@ from freerein.relations import CANONICAL_WORDINGS
 NEGATIONS = (
     "do not put the {first} block {words} the {second} block",
     "don't put the {first} block {words} the {second} block",
-    "don’t put the {first} block {words} the {second} block",
+    "don\N{RIGHT SINGLE QUOTATION MARK}t put the {first} block {words} the {second} block",
     "dont put the {first} block {words} the {second} block",
     "Do NOT put the {first} block {words} the {second} block!",
     "never put the {first} block {words} the {second} block",
@@ -69,6 +69,39 @@ QUANTITIES = (
     "as many {first} blocks as possible {words} the {second} block",
 )
 """Forms of texts that say how many."""
+
+RARER = (
+    "the {first} block may be anywhere save {words} the {second} block",
+    "I am against the {first} block {words} the {second} block",
+    "see to it that the {first} block stops being {words} the {second} block",
+    "ban the {first} block {words} the {second} block",
+    "zero {first} blocks {words} the {second} block",
+    "more than one {first} block {words} the {second} block",
+    "lots of {first} blocks {words} the {second} block",
+    "twelve {first} blocks {words} the {second} block",
+    "numerous {first} blocks {words} the {second} block",
+    "plenty of {first} blocks {words} the {second} block",
+    "it would be bad to have the {first} block {words} the {second} block",
+    "it is a mistake to put the {first} block {words} the {second} block",
+    "beware of putting the {first} block {words} the {second} block",
+    "the {first} block leaves its place {words} the {second} block",
+    "clear the {first} block {words} the {second} block",
+    "the {first} block is hardly {words} the {second} block",
+    "the {first} block would rather not sit {words} the {second} block",
+    "anything except a {first} block {words} the {second} block",
+    "excluding the {first} block {words} the {second} block",
+    "if the {first} block is {words} the {second} block, undo it",
+    "the {first} block mustn't sit {words} the {second} block",
+    "the {first} block won't be {words} the {second} block",
+    "least of all put the {first} block {words} the {second} block",
+    "end the {first} block being {words} the {second} block",
+    "cease putting the {first} block {words} the {second} block",
+    "forget about the {first} block {words} the {second} block",
+    "the {first} block used to be {words} the {second} block",
+)
+"""Forms of both kinds, chosen after words of the others were made to prevent a question; none was added for these."""
+
+FORMS = (*NEGATIONS, *QUANTITIES, *RARER)
 
 _PAIRS = (("yellow", "green"), ("green", "yellow"), ("red", "blue"))
 """Blocks of the texts; the language policies of the benchmark know the first two."""

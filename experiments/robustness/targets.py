@@ -3,7 +3,16 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-from experiments.robustness import confidence, policies, scenes, speed, visited_states, wordings
+from experiments.robustness import (
+    confidence,
+    goal_texts,
+    open_wordings,
+    policies,
+    scenes,
+    speed,
+    visited_states,
+    wordings,
+)
 from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, NOMINAL, SCATTERED, conditions
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 
@@ -125,6 +134,15 @@ def _told(claim: str, text: str, *samples: str, least: float | None = None, **mo
     return Target(claim, text, (DEMONSTRATED,), samples, least, method=policies.LANGUAGE, **more)
 
 
+def _texts(claim: str, text: str, *samples: str, **more: Any) -> Target:
+    return Target(claim, text, (SCATTERED,), samples, method=goal_texts.TEXTS, **more)
+
+
+def _forbidden(claim: str, text: str, figure: str, *readers: str, **more: Any) -> Target:
+    told = f"texts that say what must not be, or how many: share {text}"
+    return _texts(claim, told, *(goal_texts.figure(reader, figure) for reader in readers), **more)
+
+
 TARGETS = (
     _frames("seg_nominal", "nominal", 96, NOMINAL),
     _frames("seg_light", "light 0.6 or 0.8", 92, "light-0.6", "light-0.8"),
@@ -177,6 +195,36 @@ TARGETS = (
         (SCATTERED,),
         tuple(f"{name}.{wordings.FALSE_RATE}" for name in wordings.CLASSES),
         most=0.04,
+    ),
+    _texts(
+        "wordings_open",
+        "classes of open wordings, share understood whole: every text is read, or asked back, as what it means",
+        open_wordings.WHOLE,
+        least=0.8,
+        also=("wordings_open_wrong",),
+    ),
+    _texts("wordings_open_wrong", "texts there that are read or asked back wrongly", open_wordings.WRONG, most=0),
+    _forbidden(
+        "negation",
+        "that a language policy acts on",
+        goal_texts.FOLLOWED,
+        *goal_texts.POLICIES,
+        most=0,
+        also=("negation_read", "negation_named"),
+    ),
+    _forbidden("negation_read", "that the reward reads", goal_texts.FOLLOWED, goal_texts.REWARD, most=0),
+    _forbidden(
+        "negation_named",
+        "whose refusal names an unknown word, other than those for blocks",
+        goal_texts.NAMED,
+        *goal_texts.READERS,
+        least=1,
+    ),
+    _forbidden(
+        "negation_asked_back",
+        "of the rarer forms that are asked back with the statement that they forbid or count",
+        goal_texts.ASKED_BACK,
+        *goal_texts.READERS,
     ),
     *_confidence("seg", "segmentation", (DEMONSTRATED,)),
     *_confidence("reward", "reward", (SCATTERED,)),

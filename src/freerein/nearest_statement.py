@@ -14,16 +14,18 @@ Words = tuple[str, ...]
 Stated = tuple[str, SpatialRelation, str]
 
 NEGATIONS = (
-    *("not", "no", "never", "don", "t", "without", "except", "neither", "nor", "none", "nothing", "nowhere"),
+    *("not", "no", "never", "don", "t", "without", "except", "neither", "nor", "none", "nothing", "nowhere", "nobody"),
     *("cannot", "dont", "cant", "isnt", "arent", "wont", "doesnt", "didnt", "shouldnt", "mustnt"),
 )
 QUANTITIES = (
     *("all", "every", "each", "both", "any", "some", "several", "many", "few", "most", "half", "everything"),
-    *("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"),
+    *("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "couple", "dozen"),
 )
 _CHANGES = (
     *("do", "does", "did", "or", "but", "if", "unless", "when", "then", "before", "after", "otherwise"),
     *("instead", "rather", "off", "from", "remove", "avoid", "prevent", "stop", "undo", "opposite"),
+    *("other", "only", "false", "untrue", "wrong", "forbid", "forbids", "forbidden", "prohibited"),
+    *("fail", "fails", "failed", "hate", "hates", "dislike", "dislikes", "refuse", "refuses"),
 )
 """More words without which a text says something else."""
 
