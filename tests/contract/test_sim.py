@@ -13,7 +13,15 @@ from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
-from freerein.types.sim import CreateSessionRequest, ExpertActionsRequest, Recipe, ResetRequest
+from freerein.types.sim import (
+    CreateSessionRequest,
+    ExpertActionsRequest,
+    Recipe,
+    ResetRequest,
+    RestoreRequest,
+    SnapshotRequest,
+    StepRequest,
+)
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -82,6 +90,29 @@ async def test_a_request_has_the_same_outcome_over_every_transport(
     outcome = await transports.outcome(method, transports.method(method).request(**named, **fields))
     assert isinstance(outcome, list) == (code == ANSWER)
     assert code == ANSWER or (outcome[0] == code and (outcome[3] or method == "DrawRecipes"))
+
+
+@pytest.mark.parametrize(
+    ("envs", "sources", "code"),
+    [
+        ((1,), (0,), ANSWER),
+        ((0, 1), (1, 1), ANSWER),
+        ((2,), (0,), "invalid_input"),
+        ((0, 0), (0, 1), "invalid_input"),
+        ((0,), (2,), "invalid_input"),
+        ((0,), (), "invalid_input"),
+        ((), (0, 1), "invalid_input"),
+        (tuple(range(65)), (0,), "invalid_input"),
+    ],
+)
+async def test_single_envs_are_restored_alike_over_every_transport(
+    transports: Any, envs: tuple[int, ...], sources: tuple[int, ...], code: str
+) -> None:
+    session = await create(transports)
+    (saved,) = await transports.core(transports.method("Snapshot"), SnapshotRequest(session))
+    await transports.core(transports.method("Step"), StepRequest(session, 1, ACTIONS))
+    outcome = await transports.outcome("Restore", RestoreRequest(session, saved.snapshot, envs, sources))
+    assert (outcome if code == ANSWER else outcome[0]) == (code or [{"step_id": 1}])
 
 
 async def test_the_experts_of_equal_sessions_act_alike_over_every_transport(transports: Any) -> None:
