@@ -350,27 +350,6 @@ def test_single_envs_go_on_as_envs_of_a_snapshot_and_the_others_as_they_were(
     np.testing.assert_array_equal(envs.reset(cameras=view).frames[view[0]], twin.reset(cameras=view).frames[view[0]])
 
 
-@pytest.mark.parametrize(
-    ("envs", "sources"),
-    [((0,), ()), ((0,), (0, 1)), ((), (0,)), ((0,), (2,)), ((3,), (0,)), ((1, 1), (0, 1))],
-)
-def test_single_envs_are_named_with_a_source_each_or_nothing_is_restored(
-    begin: MakeEnvs, envs: Sequence[int], sources: Sequence[int]
-) -> None:
-    target, snapshot = begin(), begin(num_envs=2, seed=1).snapshot()
-    before = target.snapshot()
-    with pytest.raises(InvalidInput) as raised:
-        target.restore(snapshot, envs, sources)
-    assert raised.value.field in ("envs", "sources")
-    assert target.snapshot() == before
-
-
-def test_single_envs_are_restored_within_episodes_only(begin: MakeEnvs, make: MakeEnvs) -> None:
-    snapshot = begin().snapshot()
-    with pytest.raises(FailedPrecondition, match="no reset yet"):
-        make().restore(snapshot, [0], [0])
-
-
 def test_a_size_beyond_the_cameras_is_refused_at_once(make: MakeEnvs) -> None:
     with pytest.raises(InvalidInput, match="321"):
         make(BLOCKS, num_envs=1, seed=0, height=321)
