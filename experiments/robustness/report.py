@@ -188,7 +188,11 @@ def _visited_section(results: Sequence[ArmResult]) -> Section:
 def _trainings_section(results: Sequence[ArmResult]) -> Section:
     """Every training by PPO: what the worst one is worth is no mean."""
     figures = (policies.RETURN_ALL, policies.RETURN_WRONG_ORDER)
-    starts = {policies.PPO: "on the way", policies.PPO_OWN_STARTS: "the task's own"}
+    starts = {
+        policies.PPO: "on the way",
+        policies.PPO_OWN_STARTS: "the task's own",
+        policies.PPO_PRACTICE: "the task's own, and practice",
+    }
     rows = [
         (each.world, starts[each.method], str(each.seed), *(_share(each, name) for name in figures))
         for each in sorted(results, key=lambda each: (each.method, each.world, each.seed))

@@ -248,12 +248,16 @@ TARGETS = (
     _reinforced("ppo_stack", "stack", 40, (policies.STACK,), policies.RETURN_ALL),
     *(
         Target(
-            f"ppo_own_starts_{name}",
-            f"PPO whose training episodes begin as the task does, % of the expert: {text}",
+            f"{method}_{name}",
+            f"PPO whose training episodes begin {begin}, % of the expert: {text}",
             worlds,
             (sample,),
             unit=_PER_CENT,
-            method=policies.PPO_OWN_STARTS,
+            method=method,
+        )
+        for method, begin in (
+            (policies.PPO_OWN_STARTS, "as the task does"),
+            (policies.PPO_PRACTICE, "as the task does, and some where others were on their way to a reward"),
         )
         for name, text, worlds, sample in (
             ("all", "left and right, all starts", policies.SIDES, policies.RETURN_ALL),
