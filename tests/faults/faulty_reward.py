@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from tests.faults.lies import next_lie
 
-from freerein.atomic_files import write_atomic
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
@@ -31,15 +31,6 @@ def lie(answer: RewardResponse, kind: str) -> RewardResponse:
     if kind == "short":
         return replace(answer, rewards=answer.rewards[:-1])
     return replace(answer, rewards=np.full_like(answer.rewards, _LIES[kind]))
-
-
-def next_lie(told: Path) -> str:
-    """Returns which lie is next, and counts it."""
-    kind, _, left = told.read_text().partition(" ") if told.exists() else ("", "", "0")
-    if not int(left or 0):
-        return ""
-    write_atomic(told, f"{kind} {int(left) - 1}".encode())
-    return kind
 
 
 def lying(reward: Callable[[RewardRequest], Awaitable[RewardResponse]], told: Path) -> Callable[..., object]:

@@ -16,6 +16,7 @@ from typing import Any
 import psutil
 import pytest
 from tests.faults import chaos_proxy as network
+from tests.faults.lies import tell
 from tests.waiting import wait_until
 
 from freerein.fork_server import ChildProcess, Program, StartChild
@@ -122,8 +123,8 @@ def environ(start_module_service: Callable[..., Any], reward: Any) -> dict[str, 
 def lies(reward: Any) -> Iterator[Callable[[str], None]]:
     """A function that tells the reward service what nonsense to answer, and how often: `lies("nan 3")`."""
     told = reward.data_dir / "lies"
-    yield told.write_text
-    told.write_text("")
+    yield partial(tell, told)
+    tell(told, "")
 
 
 @pytest.fixture(scope="module")
@@ -148,9 +149,9 @@ def killed(
         Run(tmp_path_factory.mktemp("killed") / "runs" / "killed", environ, fork_child),
         reward.data_dir / "lies",
     )
-    told.write_text("slow 1000000")
+    tell(told, "slow 1000000")
     run.killed_after(3)
-    told.write_text("")
+    tell(told, "")
     assert len(run.checkpoints) == 3
     return run
 

@@ -223,12 +223,7 @@ class ConnectResponse:
 
 @dataclass(frozen=True)
 class RenderRequest:
-    """Renders without stepping.
-
-    Attributes:
-        cameras: Cameras; empty for all of the task.
-        height, width: Frame size in pixels; 0 means the session's.
-    """
+    """Renders without stepping; no cameras means all of the task, a height or width of 0 pixels the session's."""
 
     session: str
     cameras: tuple[str, ...] = ()
@@ -262,10 +257,8 @@ class RestoreRequest:
     """Restores a snapshot into a session of the same task and conditions.
 
     Attributes:
-        envs: Indices of environments of the session to restore, each once; they keep their generators, the others and
-            `step_id` stay as they are, and the snapshot may have another number of environments. Empty for the whole
-            session.
-        sources: For each of `envs`, the index of the environment of the snapshot whose state it takes; may be repeated.
+        envs: Environments to restore, each once; they keep their generators, all else stays. Empty for the whole one.
+        sources: For each of `envs`, which environment of the snapshot it goes on as; several may go on as one.
     """
 
     session: str
@@ -276,11 +269,7 @@ class RestoreRequest:
 
 @dataclass(frozen=True)
 class RestoreResponse:
-    """The session is restored.
-
-    Attributes:
-        step_id: Last step before the snapshot or, of a restore of `envs`, the session's last.
-    """
+    """The session is restored; `step_id` is the last step before the snapshot, with `envs` the session's last."""
 
     step_id: int
 
