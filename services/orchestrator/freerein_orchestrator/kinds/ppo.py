@@ -70,7 +70,7 @@ class PPORunConfig(PPOConfig):
         conditions: The task's conditions that it is trained under, such as a curriculum of starts.
         action_repeat: Timesteps that each action is held for, or until the episode ends, in training and after it.
         practice_share: Share of the environments that begin a rollout in a state that an earlier episode of the
-            training passed on its way to a reward; 0 for none. Helps where random actions hardly ever reach the goal.
+            training passed on its way to a reward; 0 for none.
         episode_steps: Timesteps after which training truncates an episode, so that more of them begin; 0 for the task's
             own length.
         init_from: Initial weights: a run's id, an earlier step of the same pipeline, or a policy among the models of
