@@ -40,7 +40,7 @@ async def main(data_dir: Path, name: str, url: str, start_child: StartChild) -> 
         attempt=runner.run,
         database_url=url,
         executor_id=name,
-        takeover_s=0.3,
+        takeover_s=1.0,  # on a busy machine a run that was dequeued may take half a second to begin
         answer_s=5.0,
     )
     runs = RunService(store, queue, resolve=resolve, health=health)
