@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.robustness import confidence
-from experiments.robustness.worlds import CURRICULUM, DEMONSTRATED
+from experiments.robustness.worlds import CURRICULUM, DEMONSTRATED, NOMINAL
 from experiments.workbench.arms import Arm
 from experiments.workbench.pipelines import Step, Trials, fit_step, step
 from experiments.workbench.results import Outcome, Sample
@@ -24,7 +24,7 @@ RETURN_ALL, RETURN_WRONG_ORDER = "return.all", "return.wrong-order"
 TOLD_OWN, WORDINGS = "told.own", "told.wordings"
 
 GOAL_CLONING, GOAL_CONDITIONED = "goal_cloning", "goal_conditioned"
-SKILLS, EXPERT = "skills", "expert"
+SKILLS, SKILLS_AUGMENTED, EXPERT = "skills", "skills_augmented", "expert"
 PPO, PPO_OWN_STARTS, PPO_PRACTICE = "ppo_training", "ppo_own_starts", "ppo_practice"
 LANGUAGE, PPO_SPEED = "language", "ppo_speed"
 
@@ -64,6 +64,9 @@ _STARTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     }
 )
 """Where episodes of a training by PPO begin, by method."""
+
+SHIFTED = ("light-0.8", "camera-5cm", "hue-plus-10", "hue-minus-10")
+"""Conditions under which skills that were fitted with augmented frames are executed, too."""
 
 _LANDMARK_EPISODES, _RECIPES, _RETURN_EPISODES = 128, 100, 100
 _SENTENCE_EPISODES = 32
@@ -107,6 +110,15 @@ def _follow(arm: Arm) -> list[Step]:
 
 
 def _execute_recipes(arm: Arm) -> list[Step]:
+    return [*_skills(arm, augmentation=0.0), _recipes(NOMINAL)]
+
+
+def _execute_shifted_recipes(arm: Arm) -> list[Step]:
+    return [*_skills(arm, augmentation=1.0), *(_recipes(condition) for condition in (NOMINAL, *SHIFTED))]
+
+
+def _skills(arm: Arm, *, augmentation: float) -> list[Step]:
+    """Returns the steps that demonstrate, label and fit skills."""
     return [
         step(
             "demonstrations",
@@ -129,9 +141,24 @@ def _execute_recipes(arm: Arm) -> list[Step]:
             seed=arm.seed,
         ),
         step("labels", "label", dataset="demonstrations", smoothing=1),
-        fit_step("fit", "imitation", "demonstrations", method=arm.method, seed=arm.seed),
-        _evaluate("recipes", task=arm.world, policy={"model": "default"}, episodes=_RECIPES),
+        fit_step("fit", "imitation", "demonstrations", method=SKILLS, augmentation=augmentation, seed=arm.seed),
     ]
+
+
+def _recipes(condition: str) -> Step:
+    """Returns the evaluation of the fitted skills under a condition."""
+    more = {} if condition == NOMINAL else {"conditions": [condition]}
+    policy = {"model": "default"}
+    return _evaluate("recipes", _step_name(condition), task=DEMONSTRATED, policy=policy, episodes=_RECIPES, **more)
+
+
+def _step_name(condition: str) -> str:
+    return "recipes" if condition == NOMINAL else f"recipes-{condition.replace('.', '')}"
+
+
+def under(condition: str, figure: str) -> str:
+    """Returns the name of a figure under a condition."""
+    return figure if condition == NOMINAL else f"{condition}.{figure}"
 
 
 def _expert_recipes(arm: Arm) -> list[Step]:
@@ -200,9 +227,11 @@ def _recall(score: npt.NDArray[np.float64], right: npt.NDArray[np.bool_], trial:
 
 
 def _recipe_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
-    completed = [np.array(each["completed"], np.bool_) for each in trials["recipes"]]
-    yield RECIPE_SKILLS, Sample.of_flags(completed)
-    yield RECIPE_WHOLE, Sample.of_flags([np.array([each.all()]) for each in completed])
+    for condition in (NOMINAL, *SHIFTED):
+        if episodes := trials.get(_step_name(condition)):
+            completed = [np.array(each["completed"], np.bool_) for each in episodes]
+            yield under(condition, RECIPE_SKILLS), Sample.of_flags(completed)
+            yield under(condition, RECIPE_WHOLE), Sample.of_flags([np.array([each.all()]) for each in completed])
 
 
 def _return_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
@@ -271,6 +300,7 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
         GOAL_CLONING: _FOLLOWER,
         GOAL_CONDITIONED: _FOLLOWER,
         SKILLS: PolicyArm(_execute_recipes, _samples(_recipe_samples)),
+        SKILLS_AUGMENTED: PolicyArm(_execute_shifted_recipes, _samples(_recipe_samples)),
         EXPERT: PolicyArm(_expert_recipes, _samples(_recipe_samples)),
         PPO: _REINFORCED,
         PPO_OWN_STARTS: _REINFORCED,
@@ -283,7 +313,7 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
 
 def arms(seeds: int) -> tuple[Arm, ...]:
     """Returns the arms, each with so many seeds; those of PPO with more, and the expert with one."""
-    fitted = (GOAL_CLONING, GOAL_CONDITIONED, SKILLS, LANGUAGE)
+    fitted = (GOAL_CLONING, GOAL_CONDITIONED, SKILLS, SKILLS_AUGMENTED, LANGUAGE)
     return (
         Arm(DEMONSTRATED, EXPERT),
         *(Arm(DEMONSTRATED, method, seed=seed) for seed in range(seeds) for method in fitted),

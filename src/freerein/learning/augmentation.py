@@ -4,6 +4,8 @@ What an image shows stays what it was, and so does all that a fit is told of it:
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
@@ -31,6 +33,61 @@ _BEGIN = 0.4
 """Share of a fit's steps before the first augmented ones."""
 
 
+@dataclass(frozen=True)
+class CameraTakes:
+    """How other cameras see a scene, in other lights: N takes.
+
+    Attributes:
+        offsets: Rows and columns by which frames are moved up and left, in pixels, int64 (N, 2).
+        turns: Of all hues, as shares of the colour circle, float32 (N,).
+        gains: Of red, green and blue, float32 (N, 3).
+        light: Factors of the brightness, float32 (N,).
+        sigma: Standard deviations of the noise, as shares of the range of values, float32 (N,).
+    """
+
+    offsets: Tensor
+    turns: Tensor
+    gains: Tensor
+    light: Tensor
+    sigma: Tensor
+
+    @classmethod
+    def draw(
+        cls, count: int, frame_size: Sequence[int], *, strength: float, generator: torch.Generator
+    ) -> "CameraTakes":
+        """Returns takes of frames of height and width `frame_size`; `strength` is as of `augment_camera`."""
+
+        def draw(*sizes: int) -> Tensor:  # uniform in [-strength, strength], float32 (N, *sizes)
+            return strength * (2 * torch.rand((count, *sizes), generator=generator) - 1)
+
+        scale = torch.tensor([_SHIFT * side for side in frame_size])
+        offsets, turns = (scale * draw(2)).round().long(), _HUE_TURN * draw()
+        warmth, tint = draw(), draw()
+        gains = torch.stack([1 + _TEMPERATURE * warmth, 1 + _TINT * tint, 1 - _TEMPERATURE * warmth], dim=1)
+        light = torch.exp(math.log(_LIGHT) * draw())
+        return cls(offsets, turns, gains, light, _NOISE * draw().clamp(min=0))
+
+    def of(self, frames: Tensor, generator: torch.Generator) -> Tensor:
+        """Returns frames, uint8 (N, H, W, C), each as its take has it; `generator` is the source of noise."""
+        offsets, turns, gains, light, sigma = (
+            each.to(frames.device) for each in (self.offsets, self.turns, self.gains, self.light, self.sigma)
+        )
+        seen = torch.empty_like(frames)
+        for start in range(0, len(frames), _FRAMES_AT_ONCE):
+            at = slice(start, start + _FRAMES_AT_ONCE)
+            pixels = shift(frames[at], offsets[at]).float() / 255
+            if frames.shape[3] == 3:
+                pixels = turn_hue(pixels, turns[at]) * gains[at, None, None]
+            noise = torch.randn(pixels.shape, generator=generator).to(frames.device)
+            pixels = pixels * light[at, None, None, None] + noise * sigma[at, None, None, None]
+            seen[at] = (255 * pixels).round_().clamp_(0, 255).to(torch.uint8)
+        return seen
+
+    def __getitem__(self, which: Tensor) -> "CameraTakes":
+        """Returns some of the takes, by number, int64 (M,)."""
+        return CameraTakes(*(getattr(self, each.name)[which] for each in fields(self)))
+
+
 def augment_camera(frames: Tensor, takes: Tensor, *, strength: float, generator: torch.Generator) -> Tensor:
     """Returns frames as another camera would have seen them, in another light.
 
@@ -45,27 +102,9 @@ def augment_camera(frames: Tensor, takes: Tensor, *, strength: float, generator:
     """
     if not strength or not len(frames):
         return frames
-
-    def draw(*sizes: int) -> Tensor:  # uniform in [-strength, strength], float32 (N, *sizes)
-        drawn = torch.rand((int(takes.max()) + 1, *sizes), generator=generator)
-        return (strength * (2 * drawn - 1)).to(frames.device)[takes]
-
-    scale = torch.tensor([_SHIFT * side for side in frames.shape[1:3]], device=frames.device)
-    offsets, turns = (scale * draw(2)).round().long(), _HUE_TURN * draw()  # (N, 2), (N,)
-    warmth, tint = draw(), draw()
-    gains = torch.stack([1 + _TEMPERATURE * warmth, 1 + _TINT * tint, 1 - _TEMPERATURE * warmth], dim=1)  # (N, 3)
-    light = torch.exp(math.log(_LIGHT) * draw())  # (N,)
-    sigma = _NOISE * draw().clamp(min=0)  # (N,)
-    seen = torch.empty_like(frames)
-    for start in range(0, len(frames), _FRAMES_AT_ONCE):
-        at = slice(start, start + _FRAMES_AT_ONCE)
-        pixels = shift(frames[at], offsets[at]).float() / 255
-        if frames.shape[3] == 3:
-            pixels = turn_hue(pixels, turns[at]) * gains[at, None, None]
-        noise = torch.randn(pixels.shape, generator=generator).to(frames.device)
-        pixels = pixels * light[at, None, None, None] + noise * sigma[at, None, None, None]
-        seen[at] = (255 * pixels).round_().clamp_(0, 255).to(torch.uint8)
-    return seen
+    count = int(takes.max()) + 1
+    drawn = CameraTakes.draw(count, frames.shape[1:3], strength=strength, generator=generator)
+    return drawn[takes.cpu()].of(frames, generator)
 
 
 def delayed(strength: float, *, step: int, steps: int) -> float:

@@ -5,6 +5,7 @@ import sys
 import torch
 from torch import Tensor, nn
 
+from freerein.learning.augmentation import augment_camera
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.trajectories import Trajectories
@@ -29,9 +30,18 @@ def encode_trajectory(encoder: nn.Module, trajectories: Trajectories, item: int,
     return torch.cat(parts)
 
 
-def sampled_statistics(trajectories: Trajectories) -> Tensor:
-    """Returns image statistics of about `KNOWN_FRAMES` frames, float32 (N, D)."""
-    return image_statistics(trajectories.sample_frames(KNOWN_FRAMES))
+def sampled_statistics(
+    trajectories: Trajectories, augmentation: float = 0.0, generator: torch.Generator | None = None
+) -> Tensor:
+    """Returns image statistics of about `KNOWN_FRAMES` frames as they were seen, float32 (N, D)."""
+    sampled = trajectories.sample_frames(KNOWN_FRAMES)
+    if augmentation and generator is not None:
+        takes = torch.arange(len(next(iter(sampled.values()))))
+        sampled = {
+            camera: augment_camera(each, takes, strength=augmentation, generator=generator)
+            for camera, each in sampled.items()
+        }
+    return image_statistics(sampled)
 
 
 def trajectory_statistics(trajectories: Trajectories) -> Tensor:

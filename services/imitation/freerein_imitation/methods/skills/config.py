@@ -14,6 +14,7 @@ class SkillsConfig(DatasetFitConfig):
         min_segment_steps: Shorter segments are taken for label errors, as in section 2.4.
         termination_steps: Timesteps after a segment's last in which the termination target stays 1.
         termination_weight: Weight of the termination loss relative to the action loss.
+        augmentation: Strength of the camera augmentation; 0 for none, as for worlds that are drawn without a camera.
         batch_size: Timesteps per update.
         hidden_size: Units of the hidden layers.
     """
@@ -21,6 +22,7 @@ class SkillsConfig(DatasetFitConfig):
     min_segment_steps: int = bounded(5, least=1, most=1000)
     termination_steps: int = bounded(3, least=0, most=1000)
     termination_weight: float = bounded(0.1, least=0.0, most=100.0)
+    augmentation: float = bounded(1.0, least=0.0, most=1.0)
     steps: int = bounded(12_000, least=1, most=10_000_000)
     batch_size: int = bounded(64, least=1, most=4096)
     hidden_size: int = bounded(192, least=8, most=1024)

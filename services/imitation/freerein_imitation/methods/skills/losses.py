@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from freerein.learning import weights
+from freerein.learning.augmentation import delayed
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.learner import Items, Learner, Losses, Stage
 from freerein.learning.train_state import TrainState
@@ -31,6 +32,7 @@ from freerein_imitation.methods.shared.skill_segments import (
     match_tags,
     split_segments,
 )
+from freerein_imitation.methods.shared.views import Views
 from freerein_imitation.methods.skills.config import SkillsConfig
 from freerein_imitation.methods.skills.network import SkillsNetwork, SkillsSpec
 from freerein_imitation.methods.skills.skill_steps import SkillSteps, end_at_waypoints, steps_of
@@ -58,6 +60,9 @@ than those of training frames."""
 
 _NO_PREVIOUS = 0.2
 """Share of timesteps for which the policy is not told the previous action, so that it does not merely repeat it."""
+
+_AUGMENTED = 0.5
+"""Share of training frames that are augmented, once augmentation begins."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +147,7 @@ class SkillsLearner(Learner[SkillsNetwork]):
 
     def stages(self) -> tuple[Stage[SkillsNetwork], ...]:
         """Returns the three parts of a fit."""
-        hand, maps = np.round(np.cumsum([_HAND_SHARE, _MAPS_SHARE]) * self.config.steps).astype(int).tolist()
+        hand, maps = self._hand_and_maps()
         return (
             self._stage("hand", hand, self._hand_loss),
             self._stage("maps", maps - hand, self._maps_loss),
@@ -150,30 +155,47 @@ class SkillsLearner(Learner[SkillsNetwork]):
         )
 
     def _stage(
-        self, name: str, steps: int, loss: Callable[[SkillsNetwork, Items, np.random.Generator], Tensor]
+        self, name: str, steps: int, loss: Callable[[SkillsNetwork, Items, np.random.Generator, Views], Tensor]
     ) -> Stage[SkillsNetwork]:
-        return Stage(name, steps, lambda state, items: {"train_loss": loss(state.network, items, state.rng())})
+        """Returns a stage; frames are augmented once the hand has been found in them as they are."""
+
+        def losses(state: State, items: Items) -> Losses:
+            rng, (hand, _) = state.rng(), self._hand_and_maps()
+            strength = delayed(self.config.augmentation, step=state.step, steps=hand)
+            views = Views(strength, _AUGMENTED, state.generator)
+            return {"train_loss": loss(state.network, items, rng, views)}
+
+        return Stage(name, steps, losses)
+
+    def _hand_and_maps(self) -> tuple[int, int]:
+        """Returns the steps after which the hand is learned, and after which the maps are, too."""
+        hand, maps = np.round(np.cumsum([_HAND_SHARE, _MAPS_SHARE]) * self.config.steps).astype(int).tolist()
+        return hand, maps
 
     def evaluate(self, state: State) -> float:
-        """Returns the loss of the policy on validation timesteps."""
-        return self.validation_losses(state.network)["train_loss"].item()
+        """Returns the loss of the policy on validation timesteps, on frames as they are and augmented ones."""
+        strengths = {0.0, self.config.augmentation}
+        losses = [self.validation_losses(state.network, strength=each)["train_loss"].item() for each in strengths]
+        return sum(losses) / len(losses)
 
     @torch.no_grad()
-    def validation_losses(self, network: SkillsNetwork) -> Losses:
-        """Returns the losses on validation timesteps, with places as the network finds them."""
-        parts = [self._predict(network, each) for each in self._validation_parts()]
+    def validation_losses(self, network: SkillsNetwork, *, strength: float = 0.0) -> Losses:
+        """Returns the losses on validation timesteps, with places as the network finds them in augmented frames."""
+        views = Views(strength, 1.0, torch.Generator().manual_seed(self.config.seed))
+        parts = [self._predict(network, each, views) for each in self._validation_parts()]
         displacement, termination = (torch.cat(each) for each in zip(*parts, strict=True))
         return self._losses(displacement, termination, self.validation)
 
     @torch.no_grad()
     def calibrate(self, network: SkillsNetwork) -> None:
         """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
-        known = sampled_statistics(self.demonstrations.subset(self._shown))
-        parts, terminations = [], []
+        generator = torch.Generator().manual_seed(self.config.seed)
+        known = sampled_statistics(self.demonstrations.subset(self._shown), self.config.augmentation, generator)
+        parts, terminations, as_recorded = [], [], Views(0.0, 0.0, generator)
         for steps in self._validation_parts():
             inside = steps[steps.is_inside]
             parts.append(image_statistics(self._frames(inside.trajectory, inside.timestep)))
-            terminations.append(self._predict(network, inside)[1])
+            terminations.append(self._predict(network, inside, as_recorded)[1])
         reached = torch.cat(terminations).sigmoid()
         trajectories = len(np.unique(self.validation.trajectory))
         network.in_distribution.fit(
@@ -185,7 +207,7 @@ class SkillsLearner(Learner[SkillsNetwork]):
         """Trajectories of the training segments, ascending."""
         return sorted({each.trajectory for each in self.segments})
 
-    def _hand_loss(self, network: SkillsNetwork, items: Items, rng: np.random.Generator) -> Tensor:
+    def _hand_loss(self, network: SkillsNetwork, items: Items, rng: np.random.Generator, views: Views) -> Tensor:
         """Returns the error of the actions executed between pairs of timesteps, as the hand's motion tells them."""
         first = self.training[items]
         lengths = np.array([len(self.demonstrations.actions[item]) for item in first.trajectory])
@@ -193,31 +215,33 @@ class SkillsLearner(Learner[SkillsNetwork]):
         pairs = list(zip(first.trajectory.tolist(), first.timestep.tolist(), ends.tolist(), strict=True))
         executed = np.stack([self._executed(item, stop) - self._executed(item, start) for item, start, stop in pairs])
         before = np.stack([self._previous(item, stop) - self._previous(item, start) for item, start, stop in pairs])
-        pixels = self._pixels(network, np.tile(first.trajectory, 2), np.append(first.timestep, ends))
+        pixels, shift = self._seen(network, np.tile(first.trajectory, 2), np.append(first.timestep, ends), views)
         hands = network.hand(pixels)
         openings = network.hand.opening(network.hand.crop(pixels, hands.detach()))
-        moved, opened = (each[len(items) :] - each[: len(items)] for each in (hands, openings))
+        moved, opened = (each[len(items) :] - each[: len(items)] for each in (hands - shift, openings))
         told = network.hand.executed(moved, opened, self._tensor(before))
         return functional.smooth_l1_loss(told, self._tensor(executed), beta=_ODOMETRY_BETA)
 
-    def _maps_loss(self, network: SkillsNetwork, items: Items, _: np.random.Generator) -> Tensor:
+    def _maps_loss(self, network: SkillsNetwork, items: Items, _: np.random.Generator, views: Views) -> Tensor:
         """Returns the cross-entropies of both heat maps; places are learned before the grasp, where they are chosen."""
         steps, cells, hands = self.training[items], network.maps.cells, self._hands(network)
-        maps = network.maps(self._pixels(network, steps.trajectory, steps.timestep), self._skills(steps))
+        pixels, shift = self._seen(network, steps.trajectory, steps.timestep, views)
+        maps = network.maps(pixels, self._skills(steps))
         target, place = (
             heat_map_cross_entropy(
-                logits, cells.centres, self._at(hands, steps.trajectory, at), width=_MAP_WIDTH * cells.pitch
+                logits, cells.centres, self._at(hands, steps.trajectory, at) + shift, width=_MAP_WIDTH * cells.pitch
             )
             for logits, at in zip(maps, (steps.object_at, steps.place_at), strict=True)
         )
         is_before_grasp = self._tensor(steps.timestep < steps.object_at)
         return target.mean() + _PLACE_WEIGHT * masked_mean(place, is_before_grasp)
 
-    def _policy_loss(self, network: SkillsNetwork, items: Items, rng: np.random.Generator) -> Tensor:
+    def _policy_loss(self, network: SkillsNetwork, items: Items, rng: np.random.Generator, views: Views) -> Tensor:
         """Returns the losses of action and termination, with noisy places."""
         steps, hands, targets = self.training[items], self._hands(network), self._targets(network)
+        pixels, shift = self._seen(network, steps.trajectory, steps.timestep, views)
         hand, target, place = (
-            each + noise * self._tensor(rng.standard_normal(each.shape).astype(np.float32))
+            each + shift + noise * self._tensor(rng.standard_normal(each.shape).astype(np.float32))
             for each, noise in (
                 (self._at(hands, steps.trajectory, steps.timestep), _HAND_NOISE),
                 (targets[torch.from_numpy(items).to(self.device)], _OBJECT_NOISE),
@@ -225,7 +249,6 @@ class SkillsLearner(Learner[SkillsNetwork]):
             )
         )
         previous = self._tensor(steps.previous * (rng.random((len(items), 1)) >= _NO_PREVIOUS).astype(np.float32))
-        pixels = self._pixels(network, steps.trajectory, steps.timestep)
         displacement, termination = network(pixels, hand, target, place, previous)
         return self._losses(displacement, termination, steps)["train_loss"]
 
@@ -239,11 +262,11 @@ class SkillsLearner(Learner[SkillsNetwork]):
         total = action + self.config.termination_weight * ended
         return {"train_loss": total, "action_loss": action, "termination_loss": ended}
 
-    def _predict(self, network: SkillsNetwork, steps: SkillSteps) -> tuple[Tensor, Tensor]:
+    def _predict(self, network: SkillsNetwork, steps: SkillSteps, views: Views) -> tuple[Tensor, Tensor]:
         """Returns displacements and termination logits; only where the object will be put is told, by what was done."""
-        pixels = self._pixels(network, steps.trajectory, steps.timestep)
+        pixels, shift = self._seen(network, steps.trajectory, steps.timestep, views)
         targets, _ = network.maps(pixels, self._skills(steps))
-        place = network.hand(self._pixels(network, steps.trajectory, steps.place_at))
+        place = network.hand(self._pixels(network, steps.trajectory, steps.place_at)) + shift
         displacement, termination = network(
             pixels, network.hand(pixels), network.maps.cells.mode(targets), place, self._tensor(steps.previous)
         )
@@ -296,6 +319,12 @@ class SkillsLearner(Learner[SkillsNetwork]):
         """Returns frames uint8 (N, H, W, C), by camera."""
         places = [(item, slice(at, at + 1)) for item, at in zip(trajectory.tolist(), timestep.tolist(), strict=True)]
         return self.demonstrations.frames_at(places, self.device)
+
+    def _seen(self, network: SkillsNetwork, trajectory: Ints, timestep: Ints, views: Views) -> tuple[Tensor, Tensor]:
+        """Returns pixels of views, and by how much places moved in each, float32 (N, 2)."""
+        ((camera, frames),) = self._frames(trajectory, timestep).items()
+        seen, moved = views.of(frames)
+        return network.pixels({camera: seen}), moved
 
     def _pixels(self, network: SkillsNetwork, trajectory: Ints, timestep: Ints) -> Tensor:
         return network.pixels(self._frames(trajectory, timestep))
