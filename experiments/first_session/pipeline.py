@@ -81,7 +81,15 @@ def _learn_from_data() -> list[Step]:
         _fit("fit-rewards", "reward", _REWARD_MODEL, "scatter", phrases=_PHRASES, epsilon=_BLOCK),
         _scenes("two-blocks", "blocks-2"),
         _scenes("four-blocks", "blocks-4"),
-        _fit("fit-goal-images", "imitation", "first-goals", "exploration", method="goal_cloning", steps=1500),
+        _fit(
+            "fit-goal-images",
+            "imitation",
+            "first-goals",
+            "exploration",
+            method="goal_cloning",
+            steps=1500,
+            augmentation=0.0,
+        ),
     ]
 
 

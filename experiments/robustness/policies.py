@@ -23,7 +23,7 @@ RECIPE_SKILLS, RECIPE_WHOLE = "recipe.skills", "recipe.whole"
 RETURN_ALL, RETURN_WRONG_ORDER = "return.all", "return.wrong-order"
 TOLD_OWN, WORDINGS = "told.own", "told.wordings"
 
-GOAL_CLONING, GOAL_CONDITIONED = "goal_cloning", "goal_conditioned"
+GOAL_CLONING, GOAL_CLONING_AUGMENTED, GOAL_CONDITIONED = "goal_cloning", "goal_cloning_augmented", "goal_conditioned"
 SKILLS, SKILLS_AUGMENTED, EXPERT = "skills", "skills_augmented", "expert"
 PPO, PPO_OWN_STARTS, PPO_PRACTICE = "ppo_training", "ppo_own_starts", "ppo_practice"
 LANGUAGE, PPO_SPEED = "language", "ppo_speed"
@@ -66,7 +66,7 @@ _STARTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 """Where episodes of a training by PPO begin, by method."""
 
 SHIFTED = ("light-0.8", "camera-5cm", "hue-plus-10", "hue-minus-10")
-"""Conditions under which skills that were fitted with augmented frames are executed, too."""
+"""Conditions under which policies that were fitted with augmented frames act, too."""
 
 _LANDMARK_EPISODES, _RECIPES, _RETURN_EPISODES = 128, 100, 100
 _SENTENCE_EPISODES = 32
@@ -94,6 +94,17 @@ class PolicyArm:
 
 
 def _follow(arm: Arm) -> list[Step]:
+    unaugmented = {"augmentation": 0.0} if arm.method == GOAL_CLONING else {}  # the other method has no augmentation
+    return [*_follower(arm, method=arm.method, **unaugmented), _landmarks(NOMINAL)]
+
+
+def _follow_shifted(arm: Arm) -> list[Step]:
+    fitted = _follower(arm, method=GOAL_CLONING, augmentation=1.0)
+    return [*fitted, *(_landmarks(condition) for condition in (NOMINAL, *SHIFTED))]
+
+
+def _follower(arm: Arm, **config: Any) -> list[Step]:
+    """Returns the steps that explore, and fit a policy that follows goal images."""
     return [
         step(
             "exploration",
@@ -104,8 +115,7 @@ def _follow(arm: Arm) -> list[Step]:
             count=600,
             seed=arm.seed,
         ),
-        fit_step("fit", "imitation", "exploration", method=arm.method, seed=arm.seed),
-        _evaluate("landmarks", task=arm.world, policy={"model": "default"}, episodes=_LANDMARK_EPISODES),
+        fit_step("fit", "imitation", "exploration", **config, seed=arm.seed),
     ]
 
 
@@ -147,13 +157,24 @@ def _skills(arm: Arm, *, augmentation: float) -> list[Step]:
 
 def _recipes(condition: str) -> Step:
     """Returns the evaluation of the fitted skills under a condition."""
-    more = {} if condition == NOMINAL else {"conditions": [condition]}
+    return _evaluate_fit("recipes", condition, episodes=_RECIPES)
+
+
+def _landmarks(condition: str) -> Step:
+    """Returns the evaluation of the fitted follower of goal images under a condition."""
+    return _evaluate_fit("landmarks", condition, episodes=_LANDMARK_EPISODES)
+
+
+def _evaluate_fit(form: str, condition: str, *, episodes: int) -> Step:
+    conditions = {} if condition == NOMINAL else {"conditions": [condition]}
     policy = {"model": "default"}
-    return _evaluate("recipes", _step_name(condition), task=DEMONSTRATED, policy=policy, episodes=_RECIPES, **more)
+    return _evaluate(
+        form, _step_name(form, condition), task=DEMONSTRATED, policy=policy, episodes=episodes, **conditions
+    )
 
 
-def _step_name(condition: str) -> str:
-    return "recipes" if condition == NOMINAL else f"recipes-{condition.replace('.', '')}"
+def _step_name(form: str, condition: str) -> str:
+    return form if condition == NOMINAL else f"{form}-{condition.replace('.', '')}"
 
 
 def under(condition: str, figure: str) -> str:
@@ -202,7 +223,20 @@ def _obey(arm: Arm) -> list[Step]:
 
 
 def _landmark_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
-    measured = [trial for trial in trials["landmarks"] if trial]
+    for condition, episodes in _by_condition("landmarks", trials):
+        for figure, sample in _followed(episodes):
+            yield under(condition, figure), sample
+
+
+def _by_condition(form: str, trials: Trials) -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
+    """Yields the conditions under which a form was evaluated, each with its trials."""
+    for condition in (NOMINAL, *SHIFTED):
+        if episodes := trials.get(_step_name(form, condition)):
+            yield condition, episodes
+
+
+def _followed(trials: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, Sample]]:
+    measured = [trial for trial in trials if trial]
     lengths = [len(trial["confidence"]) for trial in measured]
     trial = np.repeat(np.arange(len(measured)), lengths)
     score = np.concatenate([np.array(each["confidence"]) for each in measured])
@@ -227,11 +261,10 @@ def _recall(score: npt.NDArray[np.float64], right: npt.NDArray[np.bool_], trial:
 
 
 def _recipe_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
-    for condition in (NOMINAL, *SHIFTED):
-        if episodes := trials.get(_step_name(condition)):
-            completed = [np.array(each["completed"], np.bool_) for each in episodes]
-            yield under(condition, RECIPE_SKILLS), Sample.of_flags(completed)
-            yield under(condition, RECIPE_WHOLE), Sample.of_flags([np.array([each.all()]) for each in completed])
+    for condition, episodes in _by_condition("recipes", trials):
+        completed = [np.array(each["completed"], np.bool_) for each in episodes]
+        yield under(condition, RECIPE_SKILLS), Sample.of_flags(completed)
+        yield under(condition, RECIPE_WHOLE), Sample.of_flags([np.array([each.all()]) for each in completed])
 
 
 def _return_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
@@ -294,10 +327,12 @@ def _samples(found: Callable[[Trials], Iterator[tuple[str, Sample]]]) -> Callabl
 
 _REINFORCED = PolicyArm(_reinforce, _samples(_return_samples))
 _FOLLOWER = PolicyArm(_follow, _samples(_landmark_samples))
+_FOLLOWER_SHIFTED = PolicyArm(_follow_shifted, _samples(_landmark_samples))
 
 METHODS: Mapping[str, PolicyArm] = MappingProxyType(
     {
         GOAL_CLONING: _FOLLOWER,
+        GOAL_CLONING_AUGMENTED: _FOLLOWER_SHIFTED,
         GOAL_CONDITIONED: _FOLLOWER,
         SKILLS: PolicyArm(_execute_recipes, _samples(_recipe_samples)),
         SKILLS_AUGMENTED: PolicyArm(_execute_shifted_recipes, _samples(_recipe_samples)),
@@ -313,7 +348,7 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
 
 def arms(seeds: int) -> tuple[Arm, ...]:
     """Returns the arms, each with so many seeds; those of PPO with more, and the expert with one."""
-    fitted = (GOAL_CLONING, GOAL_CONDITIONED, SKILLS, SKILLS_AUGMENTED, LANGUAGE)
+    fitted = (GOAL_CLONING, GOAL_CLONING_AUGMENTED, GOAL_CONDITIONED, SKILLS, SKILLS_AUGMENTED, LANGUAGE)
     return (
         Arm(DEMONSTRATED, EXPERT),
         *(Arm(DEMONSTRATED, method, seed=seed) for seed in range(seeds) for method in fitted),

@@ -50,17 +50,26 @@ def change_data(recognizer: OdometryRecognizer, features: Sequence[Tensor]) -> C
 
 
 def fit_change_head(
-    recognizer: OdometryRecognizer, data: ChangeData, *, updates: int, close_steps: int, far_steps: int, seed: int
+    recognizer: OdometryRecognizer,
+    views: Sequence[ChangeData],
+    *,
+    updates: int,
+    close_steps: int,
+    far_steps: int,
+    seed: int,
 ) -> None:
     """Trains the head anew: pairs close in time are unchanged, pairs of two trajectories are not.
 
-    Later, pairs far in time count as changed where they look less alike than nearly all that are close in time.
-    The recognizer's odometry is trained. `close_steps` and `far_steps` are the most and the fewest actions between
-    frames that are close and far in time.
+    `views` are the same trajectories as they were recorded, then augmented: in every second update the frames of all
+    pairs are in one of them. Later, pairs far in time count as changed where they look less alike than nearly all that
+    are close in time. The recognizer's odometry is trained. `close_steps` and `far_steps` are the most and the fewest
+    actions between frames that are close and far in time.
     """
     weights.initialise(recognizer.change, generator=torch.Generator().manual_seed(seed))
     rng, optimiser = np.random.default_rng(seed), torch.optim.Adam(recognizer.change.parameters(), _LR)
     for update in range(updates):
+        is_augmented = update % 2 == 1 and len(views) > 1
+        data = views[int(rng.integers(len(views)))] if is_augmented else views[0]
         pairs = sample_time_pairs(data, rng, close_steps=close_steps, far_steps=far_steps)
         close, far, strangers = (_logits(recognizer, data, each) for each in pairs)
         if not len(close):

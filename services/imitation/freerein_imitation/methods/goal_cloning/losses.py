@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from freerein.learning import weights
+from freerein.learning.augmentation import delayed
 from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
@@ -37,6 +38,7 @@ from freerein_imitation.methods.shared.frame_features import (
     trajectory_statistics,
 )
 from freerein_imitation.methods.shared.losses import action_cross_entropy
+from freerein_imitation.methods.shared.views import SharedView
 
 _NORMALISATION_FRAMES = 1500
 _EVALUATION_WINDOWS = 96
@@ -46,6 +48,8 @@ _HEAD_UPDATES = 0.6  # of the head for changes alone, per optimiser step
 _UNCHANGED_SHARE = 0.75  # of pairs of frames at nearby places that are far in time, as calibration takes it
 _NORMAL_MAD = 1.48  # standard deviations per median absolute deviation of a normal distribution
 _SPREAD_SHARE = 0.5  # of the residuals' spread; the rest is the lag of the robot behind its actions
+_AUGMENTED_SHARE = 0.5  # of the updates, once augmentation begins
+_HEAD_VIEWS = 5  # that the head for changes learns from, beside frames as they are
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,18 +92,29 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
         """Returns the losses of some windows."""
         rng = state.rng()
         batch = self._sample(self.training, self._training_alike, self._windows[items].tolist(), rng)
+        strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
+        if strength and rng.random() < _AUGMENTED_SHARE:
+            batch = replace(batch, frames=self._view(strength, state.generator).of(batch.frames))
         losses = self._losses(state.network, batch, rng)
         return {"train_loss": _total(losses), **losses}
 
     def evaluate(self, state: TrainState[GoalCloningNetwork]) -> float:
-        """Returns the sum of the losses on validation trajectories."""
-        return _total(self.validation_losses(state.network)).item()
+        """Returns the sum of the losses on validation trajectories, on frames as they are and augmented ones."""
+        strengths = sorted({0.0, self.config.augmentation})
+        losses = [_total(self.validation_losses(state.network, strength=each)).item() for each in strengths]
+        return sum(losses) / len(losses)
 
     @torch.no_grad()
-    def validation_losses(self, network: GoalCloningNetwork) -> Losses:
-        """Returns the mean losses on validation trajectories, on the same windows and pairs each time."""
-        rng = np.random.default_rng(self.config.seed)
-        parts = [self._losses(network, batch, rng) for batch in self._validation_batches(rng)]
+    def validation_losses(self, network: GoalCloningNetwork, *, strength: float = 0.0) -> Losses:
+        """Returns the mean losses on validation trajectories, on the same windows and pairs each time.
+
+        With a strength of the augmentation, each batch is seen in a view of its own.
+        """
+        rng, generator = np.random.default_rng(self.config.seed), torch.Generator().manual_seed(self.config.seed)
+        parts = []
+        for batch in self._validation_batches(rng):
+            seen = replace(batch, frames=self._view(strength, generator).of(batch.frames))
+            parts.append(self._losses(network, seen, rng))
         return {name: torch.stack([part[name] for part in parts]).mean() for name in parts[0]}
 
     def warnings(self, network: GoalCloningNetwork) -> list[str]:
@@ -115,14 +130,36 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
         """Fits the head for changes, then the recognizer's probability and in-distribution score to held-out frames."""
         rng, config = np.random.default_rng(self.config.seed), self.config
         recognizer, reached = network.recognizer, []
-        features = [encode_trajectory(network.encoder, self.validation, item) for item in range(len(self.validation))]
+        features = [self._encoded(network, self.validation, view) for view in self._head_views()]
         if not self.spec.action.choices:
             recognizer.spread.copy_(self._spread(network, features))
         self._fit_change_head(network, features)
-        for each in features:
+        for each in features[0]:
             ahead = np.arange(len(each)) + rng.integers(1, config.far_steps, len(each), endpoint=True)
             reached.append(recognizer(each, each[np.minimum(ahead, len(each) - 1)]))
-        fit_in_distribution(network, self.training, self.validation, torch.cat(reached), self.device)
+        fit_in_distribution(
+            network,
+            self.training,
+            self.validation,
+            torch.cat(reached),
+            self.device,
+            augmentation=config.augmentation,
+            seed=config.seed,
+        )
+
+    def _view(self, strength: float, generator: torch.Generator) -> SharedView:
+        return SharedView.draw(self.spec.cameras, strength=strength, generator=generator)
+
+    def _head_views(self) -> list[SharedView]:
+        """Returns the views in which the recognizer compares frames: as they are, then augmented ones."""
+        generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
+        strengths = [0.0, *[strength] * (_HEAD_VIEWS if strength else 0)]
+        return [self._view(each, generator) for each in strengths]
+
+    def _encoded(self, network: GoalCloningNetwork, trajectories: Trajectories, view: SharedView) -> list[Tensor]:
+        """Returns the features of all frames in a view, by trajectory: float32 (T, D)."""
+        items = range(len(trajectories))
+        return [encode_trajectory(network.encoder, trajectories, item, view=view) for item in items]
 
     def _validation_batches(self, rng: np.random.Generator) -> list[GoalWindows]:
         items = self.validation.windows(window_steps(self.config.max_goal_steps))
@@ -180,26 +217,31 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
         places = (recognizer.places(features.detach()) / recognizer.tolerance).detach().cpu().numpy()  # (N, A)
         return sample_change_pairs(batch, places, rng, close_steps=config.close_steps, far_steps=config.far_steps)
 
-    def _fit_change_head(self, network: GoalCloningNetwork, held_out: Sequence[Tensor]) -> None:
-        """Trains the recognizer's head for changes on all frames, and calibrates it by features of held-out ones."""
+    def _fit_change_head(self, network: GoalCloningNetwork, held_out: Sequence[Sequence[Tensor]]) -> None:
+        """Trains the recognizer's head for changes on all frames, and calibrates it by features of held-out ones.
+
+        `held_out` are those of each trajectory in each view.
+        """
         recognizer, config = network.recognizer, self.config
         steps = {"close_steps": config.close_steps, "far_steps": config.far_steps, "seed": config.seed}
-        features = [encode_trajectory(network.encoder, self.training, item) for item in range(len(self.training))]
+        training = [change_data(recognizer, self._encoded(network, self.training, view)) for view in self._head_views()]
         with torch.enable_grad():
             updates = math.ceil(_HEAD_UPDATES * config.steps)
-            fit_change_head(recognizer, change_data(recognizer, features), updates=updates, **steps)
-        close, far = time_logits(recognizer, change_data(recognizer, held_out), **steps)
+            fit_change_head(recognizer, training, updates=updates, **steps)
+        found = [time_logits(recognizer, change_data(recognizer, each), **steps) for each in held_out]
+        close, far = (torch.cat(each) for each in zip(*found, strict=True))
         if len(close) and len(far):
             gain, bias = positive_unlabelled_calibration(close, far, share=_UNCHANGED_SHARE)
             recognizer.gain.fill_(gain)
             recognizer.bias.fill_(bias)
 
-    def _spread(self, network: GoalCloningNetwork, features: Sequence[Tensor]) -> Tensor:
-        """Returns how far places, of the features of each validation trajectory, are from the actions: float32 (A,)."""
+    def _spread(self, network: GoalCloningNetwork, features: Sequence[Sequence[Tensor]]) -> Tensor:
+        """Returns how far places are from the actions, float32 (A,), by features of validation trajectories by view."""
         residuals = []
-        for item, each in enumerate(features):
-            executed = torch.tensor(self.validation.actions[item], device=self.device)
-            residuals.append(network.recognizer.places(each).diff(dim=0) - executed[:-1])
+        for view in features:
+            for item, each in enumerate(view):
+                executed = torch.tensor(self.validation.actions[item], device=self.device)
+                residuals.append(network.recognizer.places(each).diff(dim=0) - executed[:-1])
         return _SPREAD_SHARE * _NORMAL_MAD * torch.cat(residuals).abs().median(dim=0).values
 
 

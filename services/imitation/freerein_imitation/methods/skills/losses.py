@@ -189,9 +189,9 @@ class SkillsLearner(Learner[SkillsNetwork]):
     @torch.no_grad()
     def calibrate(self, network: SkillsNetwork) -> None:
         """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
-        generator = torch.Generator().manual_seed(self.config.seed)
-        known = sampled_statistics(self.demonstrations.subset(self._shown), self.config.augmentation, generator)
-        parts, terminations, as_recorded = [], [], Views(0.0, 0.0, generator)
+        shown, config = self.demonstrations.subset(self._shown), self.config
+        known = sampled_statistics(shown, augmentation=config.augmentation, seed=config.seed)
+        parts, terminations, as_recorded = [], [], Views(0.0, 0.0, torch.Generator())
         for steps in self._validation_parts():
             inside = steps[steps.is_inside]
             parts.append(image_statistics(self._frames(inside.trajectory, inside.timestep)))
