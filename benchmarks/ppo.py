@@ -158,7 +158,12 @@ class _Served:
                 spec,
                 envs,
                 device=_CPU,
-                prepare=partial(fit_eye, objects=encoder.weights, explorations=config.explorations),
+                prepare=partial(
+                    fit_eye,
+                    objects=encoder.weights,
+                    explorations=config.explorations,
+                    augmentation=config.augmentation,
+                ),
             )
         return cls(config, sim, reward, to_checkpoint(state), action_repeat)
 

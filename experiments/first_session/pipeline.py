@@ -89,6 +89,7 @@ def _learn_from_data() -> list[Step]:
             method="goal_cloning",
             steps=1500,
             augmentation=0.0,
+            white_balance=False,
         ),
     ]
 
@@ -108,6 +109,7 @@ def _evaluate_and_practise() -> list[Step]:
             after="label-blocks",
             method="skills",
             augmentation=0.0,
+            white_balance=False,
         ),
         _evaluate("recipes", "recipes", task="blocks", policy={"model": "first-skills"}, episodes=40, num_envs=40),
         _ppo("ppo-first", own, **UNTRAINED),
@@ -149,7 +151,7 @@ def _evaluate(name: str, form: str, **config: Any) -> Step:
 
 def _ppo(name: str, task: str, **config: Any) -> Step:
     """PPO from random weights, on the reward that was learned."""
-    return step(name, "ppo", task=task, reward_model=_REWARD_MODEL, **PPO, **config)
+    return step(name, "ppo", task=task, reward_model=_REWARD_MODEL, augmentation=0.0, **PPO, **config)
 
 
 def _scenes(name: str, condition: str) -> Step:

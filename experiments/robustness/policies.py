@@ -20,12 +20,15 @@ from experiments.workbench.results import Outcome, Sample
 FLAG_AUROC, FLAG_ECE, FLAG_RECALL = "flag.auroc", "flag.ece", "flag.recall"
 LANDMARKS_FREE, LANDMARKS_BLOCK = "landmarks.free", "landmarks.block"
 RECIPE_SKILLS, RECIPE_WHOLE = "recipe.skills", "recipe.whole"
+RECIPE_OF_NOMINAL = "recipe.of-nominal"
+"""Skills that are completed under a condition, as a share of those that are completed nominally."""
 RETURN_ALL, RETURN_WRONG_ORDER = "return.all", "return.wrong-order"
 TOLD_OWN, WORDINGS = "told.own", "told.wordings"
 
 GOAL_CLONING, GOAL_CLONING_AUGMENTED, GOAL_CONDITIONED = "goal_cloning", "goal_cloning_augmented", "goal_conditioned"
 SKILLS, SKILLS_AUGMENTED, EXPERT = "skills", "skills_augmented", "expert"
 PPO, PPO_OWN_STARTS, PPO_PRACTICE = "ppo_training", "ppo_own_starts", "ppo_practice"
+PPO_AUGMENTED = "ppo_augmented"
 LANGUAGE, PPO_SPEED = "language", "ppo_speed"
 
 SIDES = ("blocks.yellow-left-of-green", "blocks.yellow-right-of-green")
@@ -58,15 +61,22 @@ _LABEL_STEPS = 4000
 
 _STARTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        PPO: {"conditions": [CURRICULUM]},
-        PPO_OWN_STARTS: {"conditions": []},
-        PPO_PRACTICE: {"conditions": [], "practice_share": 0.5},
+        PPO: {"conditions": [CURRICULUM], "augmentation": 0.0},
+        PPO_AUGMENTED: {"conditions": [CURRICULUM]},
+        PPO_OWN_STARTS: {"conditions": [], "augmentation": 0.0},
+        PPO_PRACTICE: {"conditions": [], "practice_share": 0.5, "augmentation": 0.0},
     }
 )
-"""Where episodes of a training by PPO begin, by method."""
+"""Where episodes of a training by PPO begin, and whether its eye is fitted to augmented frames, by method."""
+
+_UNAUGMENTED: Mapping[str, Any] = MappingProxyType({"augmentation": 0.0, "white_balance": False})
+"""Of fits that see frames as they were recorded."""
 
 SHIFTED = ("light-0.8", "camera-5cm", "hue-plus-10", "hue-minus-10")
 """Conditions under which policies that were fitted with augmented frames act, too."""
+
+SHIFTED_SCENES = ("light-0.8", "blocks-4", "camera-5cm")
+"""Conditions under which policies act whose eye was fitted to augmented frames."""
 
 _LANDMARK_EPISODES, _RECIPES, _RETURN_EPISODES = 128, 100, 100
 _SENTENCE_EPISODES = 32
@@ -94,12 +104,12 @@ class PolicyArm:
 
 
 def _follow(arm: Arm) -> list[Step]:
-    unaugmented = {"augmentation": 0.0} if arm.method == GOAL_CLONING else {}  # the other method has no augmentation
+    unaugmented = _UNAUGMENTED if arm.method == GOAL_CLONING else {}  # the other method has no augmentation
     return [*_follower(arm, method=arm.method, **unaugmented), _landmarks(NOMINAL)]
 
 
 def _follow_shifted(arm: Arm) -> list[Step]:
-    fitted = _follower(arm, method=GOAL_CLONING, augmentation=1.0)
+    fitted = _follower(arm, method=GOAL_CLONING)
     return [*fitted, *(_landmarks(condition) for condition in (NOMINAL, *SHIFTED))]
 
 
@@ -120,14 +130,14 @@ def _follower(arm: Arm, **config: Any) -> list[Step]:
 
 
 def _execute_recipes(arm: Arm) -> list[Step]:
-    return [*_skills(arm, augmentation=0.0), _recipes(NOMINAL)]
+    return [*_skills(arm, **_UNAUGMENTED), _recipes(NOMINAL)]
 
 
 def _execute_shifted_recipes(arm: Arm) -> list[Step]:
-    return [*_skills(arm, augmentation=1.0), *(_recipes(condition) for condition in (NOMINAL, *SHIFTED))]
+    return [*_skills(arm), *(_recipes(condition) for condition in (NOMINAL, *SHIFTED))]
 
 
-def _skills(arm: Arm, *, augmentation: float) -> list[Step]:
+def _skills(arm: Arm, **config: Any) -> list[Step]:
     """Returns the steps that demonstrate, label and fit skills."""
     return [
         step(
@@ -151,7 +161,7 @@ def _skills(arm: Arm, *, augmentation: float) -> list[Step]:
             seed=arm.seed,
         ),
         step("labels", "label", dataset="demonstrations", smoothing=1),
-        fit_step("fit", "imitation", "demonstrations", method=SKILLS, augmentation=augmentation, seed=arm.seed),
+        fit_step("fit", "imitation", "demonstrations", method=SKILLS, **config, seed=arm.seed),
     ]
 
 
@@ -189,8 +199,18 @@ def _expert_recipes(arm: Arm) -> list[Step]:
 def _reinforce(arm: Arm) -> list[Step]:
     return [
         step("ppo", "ppo", task=arm.world, **_STARTS[arm.method], seed=arm.seed),
-        _evaluate("returns", task=arm.world, policy={"run": "ppo"}, baseline="random", episodes=_RETURN_EPISODES),
+        _returns(arm, NOMINAL),
+        *(_returns(arm, condition) for condition in (SHIFTED_SCENES if arm.method == PPO_AUGMENTED else ())),
     ]
+
+
+def _returns(arm: Arm, condition: str) -> Step:
+    """Returns the evaluation of the trained policy under a condition."""
+    more = {} if condition == NOMINAL else {"conditions": [condition]}
+    name, policy = _step_name("returns", condition), {"run": "ppo"}
+    return _evaluate(
+        "returns", name, task=arm.world, policy=policy, baseline="random", episodes=_RETURN_EPISODES, **more
+    )
 
 
 def _obey(arm: Arm) -> list[Step]:
@@ -230,7 +250,7 @@ def _landmark_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
 
 def _by_condition(form: str, trials: Trials) -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
     """Yields the conditions under which a form was evaluated, each with its trials."""
-    for condition in (NOMINAL, *SHIFTED):
+    for condition in (NOMINAL, *dict.fromkeys(SHIFTED + SHIFTED_SCENES)):
         if episodes := trials.get(_step_name(form, condition)):
             yield condition, episodes
 
@@ -261,19 +281,24 @@ def _recall(score: npt.NDArray[np.float64], right: npt.NDArray[np.bool_], trial:
 
 
 def _recipe_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
+    nominal = [sum(each["completed"]) for each in trials["recipes"]]
     for condition, episodes in _by_condition("recipes", trials):
         completed = [np.array(each["completed"], np.bool_) for each in episodes]
         yield under(condition, RECIPE_SKILLS), Sample.of_flags(completed)
         yield under(condition, RECIPE_WHOLE), Sample.of_flags([np.array([each.all()]) for each in completed])
+        if condition != NOMINAL:
+            done = [int(each.sum()) for each in completed]
+            yield under(condition, RECIPE_OF_NOMINAL), Sample(done, nominal)
 
 
 def _return_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
     """Yields returns as a share of the expert's in the same episodes."""
-    episodes = trials["returns"]
-    in_wrong_order = [each for each in episodes if not each["starts"].get(_IN_ORDER, True)]
-    for name, part in ((RETURN_ALL, episodes), (RETURN_WRONG_ORDER, in_wrong_order)):
-        if part:
-            yield name, Sample([each["episode_return"] for each in part], [each["expert_return"] for each in part])
+    for condition, episodes in _by_condition("returns", trials):
+        in_wrong_order = [each for each in episodes if not each["starts"].get(_IN_ORDER, True)]
+        for name, part in ((RETURN_ALL, episodes), (RETURN_WRONG_ORDER, in_wrong_order)):
+            if part:
+                earned = Sample([each["episode_return"] for each in part], [each["expert_return"] for each in part])
+                yield under(condition, name), earned
 
 
 def _sentence_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
@@ -338,6 +363,7 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
         SKILLS_AUGMENTED: PolicyArm(_execute_shifted_recipes, _samples(_recipe_samples)),
         EXPERT: PolicyArm(_expert_recipes, _samples(_recipe_samples)),
         PPO: _REINFORCED,
+        PPO_AUGMENTED: _REINFORCED,
         PPO_OWN_STARTS: _REINFORCED,
         PPO_PRACTICE: _REINFORCED,
         LANGUAGE: PolicyArm(_obey, _samples(_sentence_samples)),

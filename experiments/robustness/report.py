@@ -190,6 +190,7 @@ def _trainings_section(results: Sequence[ArmResult]) -> Section:
     figures = (policies.RETURN_ALL, policies.RETURN_WRONG_ORDER)
     starts = {
         policies.PPO: "on the way",
+        policies.PPO_AUGMENTED: "on the way; eye fitted to augmented frames",
         policies.PPO_OWN_STARTS: "the task's own",
         policies.PPO_PRACTICE: "the task's own, and practice",
     }

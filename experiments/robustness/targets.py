@@ -1,5 +1,6 @@
 """The targets of the benchmark: what each claim measures, and what it must reach."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -121,9 +122,54 @@ def _executed(claim: str, text: str, least: float, sample: str) -> Target:
     return Target(claim, text, (DEMONSTRATED,), (sample,), least, unit=_PER_CENT, method=method, ceiling=ceiling)
 
 
+def _augmented() -> Iterator[Target]:
+    """Yields the claims of fits with augmented frames: nominally, and the worst of other lights, hues and cameras."""
+    worlds = (DEMONSTRATED,)
+    unaugmented: dict[str, Any] = {"baseline": policies.SKILLS, "ceiling": policies.EXPERT}
+    skills: dict[str, Any] = {"worlds": worlds, "method": policies.SKILLS_AUGMENTED, "unit": _PER_CENT}
+    for claim, text, sample in (
+        ("recipe_skills_augmented", "recipes, fit with augmented frames: skills completed, %", policies.RECIPE_SKILLS),
+        ("recipe_whole_augmented", "whole recipes, %", policies.RECIPE_WHOLE),
+    ):
+        yield Target(claim, text, samples=(sample,), **skills, **unaugmented)
+    shifted = "light .8, camera moved by 5 cm, hue ±10 %"
+    ratios = tuple(policies.under(condition, policies.RECIPE_OF_NOMINAL) for condition in policies.SHIFTED)
+    yield Target("recipe_light", f"the same, {shifted}: % of the nominal", samples=ratios, least=75, **skills)
+    follower: dict[str, Any] = {"worlds": worlds, "method": policies.GOAL_CLONING_AUGMENTED}
+    for claim, text, sample, nominal, least in (
+        ("flag", "goal-reached flag, fit with augmented frames: AUROC", policies.FLAG_AUROC, "flag_auroc", 0.93),
+        ("landmarks", "landmarks there, no block must move", policies.LANDMARKS_FREE, "landmarks_free", 0.85),
+    ):
+        yield Target(f"{nominal}_augmented", text, samples=(sample,), baseline=policies.GOAL_CLONING, **follower)
+        under = tuple(policies.under(condition, sample) for condition in policies.SHIFTED)
+        yield Target(f"{claim}_light", f"the same, {shifted}", samples=under, least=least, **follower)
+
+
 def _reinforced(claim: str, text: str, least: float, worlds: tuple[str, ...], sample: str) -> Target:
     told = f"PPO under `start-on-the-way`, % of the expert: {text}"
     return Target(claim, told, worlds, (sample,), least, unit=_PER_CENT, method=policies.PPO)
+
+
+def _reinforced_augmented() -> Iterator[Target]:
+    """Yields the claims of PPO whose eye is fitted to augmented frames: nominally, and in other scenes."""
+    shown = "PPO, eye fitted to augmented frames, % of the expert"
+    for name, text, worlds in (("sides", "left and right", policies.SIDES), ("stack", "stack", (policies.STACK,))):
+        for claim, condition, least in (
+            ("augmented", NOMINAL, None),
+            ("four_blocks", "blocks-4", 70),
+            ("light", "light-0.8", None),
+            ("camera", "camera-5cm", None),
+        ):
+            yield Target(
+                f"ppo_{claim}_{name}",
+                f"{shown}: {text}, {condition}",
+                worlds,
+                (policies.under(condition, policies.RETURN_ALL),),
+                least,
+                unit=_PER_CENT,
+                method=policies.PPO_AUGMENTED,
+                baseline=policies.PPO if condition == NOMINAL else "",
+            )
 
 
 def _speed(claim: str, text: str, sample: str, *, least: float | None = None, **more: Any) -> Target:
@@ -240,12 +286,14 @@ TARGETS = (
     _followed("landmarks_block", "a block must move", policies.LANDMARKS_BLOCK, least=0.55),
     _executed("recipe_skills", "recipes of four skills, skills completed, %", 80, policies.RECIPE_SKILLS),
     _executed("recipe_whole", "whole recipes, %", 45, policies.RECIPE_WHOLE),
+    *_augmented(),
     _reinforced("ppo_all", "left and right, all starts", 65, policies.SIDES, policies.RETURN_ALL),
     replace(
         _reinforced("ppo_wrong_order", "starts in the wrong order", 45, policies.SIDES, policies.RETURN_WRONG_ORDER),
         low_above=_PUSHER,
     ),
     _reinforced("ppo_stack", "stack", 40, (policies.STACK,), policies.RETURN_ALL),
+    *_reinforced_augmented(),
     *(
         Target(
             f"{method}_{name}",

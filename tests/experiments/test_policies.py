@@ -63,6 +63,17 @@ def test_a_recipe_is_whole_when_every_skill_is_completed() -> None:
     assert found[policies.RECIPE_WHOLE].mean == 0.5
 
 
+def test_what_is_done_under_a_condition_is_compared_with_what_is_done_nominally() -> None:
+    nominal, dim = {"completed": [True, True]}, {"completed": [True, False]}
+    found = policies.METHODS[policies.SKILLS_AUGMENTED].samples(
+        {"recipes": [nominal, nominal], "recipes-light-08": [dim, nominal]}
+    )
+    assert found[policies.RECIPE_SKILLS].mean == 1
+    assert found[policies.under("light-0.8", policies.RECIPE_SKILLS)].mean == 0.75
+    assert found[policies.under("light-0.8", policies.RECIPE_OF_NOMINAL)].mean == 0.75
+    assert policies.under("camera-5cm", policies.RECIPE_SKILLS) not in found
+
+
 def test_returns_are_shares_of_the_experts_by_the_order_of_the_start() -> None:
     trials = [
         {"episode_return": 40.0, "expert_return": 80.0, "starts": {"start/in-order": True}},

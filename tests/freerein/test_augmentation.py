@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from freerein.learning.augmentation import agreement, augment_camera, delayed, shift, turn_hue
+from freerein.learning.augmentation import add_distractors, agreement, augment_camera, delayed, shift, turn_hue
 
 
 def frames(count: int, channels: int = 3) -> torch.Tensor:
@@ -76,3 +76,16 @@ def test_agreement_is_a_cross_entropy_that_does_not_train_the_teacher() -> None:
     assert scores.grad is not None
     assert scores.grad[0, 1].tolist() == pytest.approx([0.5 / 4, -0.5 / 4])
     assert scores.grad[1, 1].tolist() == pytest.approx([0.0, 0.0], abs=1e-7)
+
+
+def test_distractors_are_rectangles_in_front_of_some_frames() -> None:
+    seen = frames(60)
+    cluttered = add_distractors(seen, strength=1.0, generator=generator())
+    assert torch.equal(cluttered, add_distractors(seen, strength=1.0, generator=generator()))
+    assert torch.equal(seen, add_distractors(seen, strength=0.0, generator=generator()))
+    is_covered = (cluttered != seen).any(dim=3)  # (N, H, W)
+    assert 50 < is_covered.flatten(1).any(dim=1).sum() <= 60  # 97 % have at least one
+    assert is_covered.float().mean() < 0.1
+    for before, after, covered in zip(seen, cluttered, is_covered, strict=True):
+        assert torch.equal(before[~covered], after[~covered])
+        assert len({tuple(pixel) for pixel in after[covered].tolist()}) <= 3  # of one colour each

@@ -9,6 +9,7 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
 from freerein.learning.actor_critic.eye import GoalEye, _robust_regression
+from freerein.learning.augmentation import add_distractors
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
 from freerein_orchestrator.rl.goal_eye import load_object_encoder
@@ -103,12 +104,28 @@ def test_where_nothing_moved_with_the_body_places_stay_those_in_the_frame(folder
     assert first_up == pytest.approx(second_up, abs=0.05)
 
 
-def test_an_encoder_is_fitted_to_the_same_bits() -> None:
+@pytest.mark.usefixtures("_as_a_training")
+def test_a_body_that_was_fitted_to_augmented_frames_is_found_in_other_lights_and_among_other_things() -> None:
+    seen, _ = explore(np.random.default_rng(0), 160)
+    half = Exploration(seen.frames[:, :, ::2, ::2].contiguous(), seen.actions)  # of the size: a fit in seconds
+    body = BodyEncoder(height=32, width=32, action_size=2)
+    fit_body(body, half, torch.Generator().manual_seed(0), augmentation=1.0)
+
+    new, places = explore(np.random.default_rng(1), 20)
+    frames = new.frames[1::2, :, ::2, ::2].flatten(end_dim=1)
+    dim = (0.7 * frames).to(torch.uint8)
+    cluttered = add_distractors(frames, strength=1.0, generator=torch.Generator().manual_seed(1))
+    for shown in (frames, dim, cluttered):
+        assert error(body(shown).detach().numpy(), places) < 2
+
+
+@pytest.mark.parametrize("augmentation", [0.0, 1.0])
+def test_an_encoder_is_fitted_to_the_same_bits(augmentation: float) -> None:
     seen, _ = explore(np.random.default_rng(0), 2)
 
     def fitted() -> BodyEncoder:
         body = BodyEncoder(height=64, width=64, action_size=2)
-        fit_body(body, seen, torch.Generator().manual_seed(3))
+        fit_body(body, seen, torch.Generator().manual_seed(3), augmentation=augmentation)
         return body
 
     first, again = fitted().state_dict(), fitted().state_dict()

@@ -27,6 +27,10 @@ _SHIFT = 0.11
 _NOISE = 0.1
 """Largest standard deviation of a pixel's noise, as a share of the range of its values; half of the takes have none."""
 
+_DISTRACTORS, _DISTRACTOR_SHARE = 3, 0.7
+_LEAST_SIDE, _MOST_SIDE = 0.04, 0.2
+"""Most distractors in a frame, the share of frames that have each, and their sides, as shares of the frame's."""
+
 _FRAMES_AT_ONCE = 256
 
 _BEGIN = 0.4
@@ -105,6 +109,27 @@ def augment_camera(frames: Tensor, takes: Tensor, *, strength: float, generator:
     count = int(takes.max()) + 1
     drawn = CameraTakes.draw(count, frames.shape[1:3], strength=strength, generator=generator)
     return drawn[takes.cpu()].of(frames, generator)
+
+
+def add_distractors(frames: Tensor, *, strength: float, generator: torch.Generator) -> Tensor:
+    """Returns frames with rectangles in front, each of one colour: things that a fit is not about.
+
+    Args:
+        frames: uint8 (N, H, W, C).
+        strength: 0 for none, 1 for up to three in a frame.
+        generator: Source of all draws, on the CPU.
+    """
+    count, height, width, channels = frames.shape
+    rows, columns = torch.arange(height)[:, None] / height, torch.arange(width) / width
+    for _ in range(_DISTRACTORS):
+        sides = _LEAST_SIDE + (_MOST_SIDE - _LEAST_SIDE) * torch.rand((2, count, 1, 1), generator=generator)
+        top, left = torch.rand((2, count, 1, 1), generator=generator) - sides / 2
+        colours = (256 * torch.rand((count, 1, 1, channels), generator=generator)).to(torch.uint8)
+        is_there = torch.rand((count, 1, 1), generator=generator) < strength * _DISTRACTOR_SHARE
+        is_inside = (rows >= top) & (rows < top + sides[0]) & (columns >= left) & (columns < left + sides[1])
+        covered = (is_inside & is_there)[..., None].to(frames.device)
+        frames = torch.where(covered, colours.to(frames.device), frames)
+    return frames
 
 
 def delayed(strength: float, *, step: int, steps: int) -> float:

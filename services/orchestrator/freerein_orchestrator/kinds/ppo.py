@@ -273,7 +273,13 @@ class _Training:
     def _prepare(self, encoder: ObjectEncoder | None) -> Prepare:
         if encoder is None:
             return calibrate
-        return partial(fit_eye, objects=encoder.weights, explorations=self._config.explorations)
+        config = self._config
+        return partial(
+            fit_eye,
+            objects=encoder.weights,
+            explorations=config.explorations,
+            augmentation=config.augmentation,
+        )
 
     def _make_rewards(self, network: ActorCritic, inputs: Mapping[str, JSON]) -> Sequence[Reward]:
         """Returns the untrained rewards of a training with these inputs."""

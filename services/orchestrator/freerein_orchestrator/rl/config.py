@@ -63,6 +63,7 @@ class PPOConfig:
         approach_weight: Weight of potential-based shaping by how near the body is to the goal's first object, in object
             widths; unused without an eye.
         explorations: Short sequences of random actions in each environment that an eye is fitted to; unused without.
+        augmentation: Strength of the augmentation of their frames, by light and things that come and go; 0 for none.
         seed: Seed of the learner; environments have their own.
         threads: Torch threads on the CPU.
 
@@ -90,6 +91,7 @@ class PPOConfig:
     final_log_std: float | None = bounded_or_none(-2.0, least=-5.0, most=2.0)
     approach_weight: float = bounded(1.0, least=0.0, most=100.0)
     explorations: int = bounded(40, least=1, most=1000)
+    augmentation: float = bounded(1.0, least=0.0, most=1.0)
     seed: int = bounded(0, least=0, most=2**31 - 1)
     threads: int = bounded(1, least=1, most=256)
 

@@ -72,7 +72,13 @@ def load_object_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> O
 
 
 def fit_eye(
-    network: ActorCritic, envs: VecEnv, generator: torch.Generator, *, objects: Mapping[str, Tensor], explorations: int
+    network: ActorCritic,
+    envs: VecEnv,
+    generator: torch.Generator,
+    *,
+    objects: Mapping[str, Tensor],
+    explorations: int,
+    augmentation: float = 0.0,
 ) -> None:
     """Gives the eye of a new network its encoder of objects, and has it find the policy's body by random actions.
 
@@ -82,11 +88,13 @@ def fit_eye(
         generator: Draws the actions.
         objects: Weights of the encoder, by name.
         explorations: Sequences of actions in each environment.
+        augmentation: Strength of that of their frames; 0 for none.
     """
     if network.eye is None:
         raise InvalidInput("A network to fit an eye of must have one.")
     network.eye.load_objects(objects)
-    network.eye.fit(explore(network.spec, envs, generator, count=explorations), generator)
+    explored = explore(network.spec, envs, generator, count=explorations)
+    network.eye.fit(explored, generator, augmentation=augmentation)
 
 
 def explored_steps(spec: ActorCriticSpec, config: PPOConfig) -> int:

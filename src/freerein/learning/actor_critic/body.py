@@ -1,24 +1,29 @@
 """Self-localisation: where a policy's own body is in a frame, learned from its own random actions.
 
 A body is what one's actions move: the encoder's output changes between two frames by the sum of the actions between
-them. It reads keypoints by spatial softmax (Finn et al. 2016), since a body looks alike wherever it is.
+them. It reads keypoints by spatial softmax (Finn et al. 2016), since a body looks alike wherever it is. Light, and
+things that come and go, are not the body: frames of one pair are seen in different lights, with different distractors.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from freerein.learning import weights
+from freerein.learning.augmentation import CameraTakes, add_distractors, delayed
 
 _CHANNELS, _KEYPOINTS = 16, 16
 _PIXEL_SCALE = 64.0
 _SHARPNESS = 2.0
 _BATCH, _LR = 64, 4e-3
-_EPOCHS = 8
+_EPOCHS, _EPOCHS_AUGMENTED = 8, 12
 """How often each action is the first of a pair of frames, on average."""
+
+_AUGMENTED = 0.5
+"""Share of the frames that are augmented, once augmentation begins."""
 
 _MAX_SPAN = 4
 _MEDIAN_FRAMES = 1024
@@ -60,7 +65,7 @@ class BodyEncoder(nn.Module):
         return found
 
 
-def fit_body(body: BodyEncoder, seen: Exploration, generator: torch.Generator) -> None:
+def fit_body(body: BodyEncoder, seen: Exploration, generator: torch.Generator, *, augmentation: float = 0.0) -> None:
     """Trains an encoder on random actions, from new weights.
 
     The loss is absolute, so that actions without effect, at the ends of a joint's range, count little.
@@ -69,6 +74,7 @@ def fit_body(body: BodyEncoder, seen: Exploration, generator: torch.Generator) -
         body: Changed in place.
         seen: Random actions and the frames around them.
         generator: Source of all randomness, on the CPU.
+        augmentation: Strength of that of frames: their light, and distractors; 0 for none.
     """
     weights.initialise(body, generator=generator)
     frames, device = seen.frames.flatten(end_dim=1), body.background.device
@@ -76,14 +82,18 @@ def fit_body(body: BodyEncoder, seen: Exploration, generator: torch.Generator) -
     body.background.copy_(frames[chosen].float().median(dim=0).values.permute(2, 0, 1))
     count, length = seen.actions.shape[:2]
     moved = functional.pad(seen.actions.cumsum(dim=1), (0, 0, 1, 0))  # (B, T + 1, A)
-    optimiser, steps = torch.optim.Adam(body.parameters(), _LR), math.ceil(_EPOCHS * count * length / _BATCH)
+    epochs = _EPOCHS_AUGMENTED if augmentation else _EPOCHS
+    optimiser, steps = torch.optim.Adam(body.parameters(), _LR), math.ceil(epochs * count * length / _BATCH)
     for step in range(steps):
         for group in optimiser.param_groups:
             group["lr"] = _LR * (1 - step / steps)
         which = torch.randint(count, (_BATCH,), generator=generator)
         start = torch.randint(length, (_BATCH,), generator=generator)
         end = (start + torch.randint(1, _MAX_SPAN + 1, (_BATCH,), generator=generator)).clamp(max=length)
-        before, after = body(torch.cat([seen.frames[which, start], seen.frames[which, end]]).to(device)).chunk(2)
+        pair = torch.cat([seen.frames[which, start], seen.frames[which, end]])
+        if strength := delayed(augmentation, step=step, steps=steps):
+            pair = _augmented(pair, strength=strength, generator=generator)
+        before, after = body(pair.to(device)).chunk(2)
         loss = functional.l1_loss(after - before, (moved[which, end] - moved[which, start]).to(device))
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]  # torch does not annotate it
@@ -91,3 +101,13 @@ def fit_body(body: BodyEncoder, seen: Exploration, generator: torch.Generator) -
     with torch.no_grad():
         parts = torch.split(frames[chosen], _BATCH)
         body.readout.bias.sub_(torch.cat([body(each.to(device)) for each in parts]).mean(dim=0))
+
+
+def _augmented(frames: Tensor, *, strength: float, generator: torch.Generator) -> Tensor:
+    """Returns frames, uint8 (N, H, W, 3), half of which have distractors, and are in lights of their own."""
+    which = (torch.rand(len(frames), generator=generator) < _AUGMENTED).nonzero()[:, 0]
+    takes = CameraTakes.draw(len(which), frames.shape[1:3], strength=strength, generator=generator)
+    lights = replace(takes, offsets=torch.zeros_like(takes.offsets))  # a body that is seen elsewhere has moved
+    seen = frames.clone()
+    seen[which] = lights.of(add_distractors(frames[which], strength=strength, generator=generator), generator)
+    return seen

@@ -106,10 +106,10 @@ class GoalEye(nn.Module):
         """Copies the weights of a reward model's image encoder, by name."""
         self.objects.load_state_dict(encoder)
 
-    def fit(self, seen: Exploration, generator: torch.Generator) -> None:
-        """Learns to locate the body from random actions; the objects' encoder stays as it is."""
+    def fit(self, seen: Exploration, generator: torch.Generator, *, augmentation: float = 0.0) -> None:
+        """Learns to locate the body from random actions, in augmented frames; the objects' encoder stays as it is."""
         self.body.requires_grad_(True)
-        fit_body(self.body, seen, generator)
+        fit_body(self.body, seen, generator, augmentation=augmentation)
         self.body.requires_grad_(False)
         self._fit_hand_eye(seen)
 

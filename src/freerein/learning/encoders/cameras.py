@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from freerein.learning.encoders.encoder import Encoder, EncoderClass
+from freerein.learning.encoders.white_balance import WhiteBalance
 from freerein.types.common import Camera
 
 FrameTensors = Mapping[str, Tensor]
@@ -24,12 +25,15 @@ class CameraEncoders(nn.Module):
         encoder: Class of the encoders: a value of `ENCODERS`.
         cameras: The cameras.
         features: Number of features per camera.
+        white_balance: Whether frames are brought to the light of the training frames first.
 
     Attributes:
         size: D, the number of features of all cameras.
     """
 
-    def __init__(self, encoder: EncoderClass, cameras: Sequence[Camera], *, features: int) -> None:
+    def __init__(
+        self, encoder: EncoderClass, cameras: Sequence[Camera], *, features: int, white_balance: bool = False
+    ) -> None:
         super().__init__()
         self.size = features * len(cameras)
         self._names = tuple(camera.name for camera in cameras)
@@ -38,12 +42,19 @@ class CameraEncoders(nn.Module):
             encoder(height=camera.height, width=camera.width, channels=camera.channels, features=features)
             for camera in cameras
         )
+        self.balances = nn.ModuleList(
+            WhiteBalance(height=camera.height, width=camera.width, channels=camera.channels)
+            for camera in cameras
+            if white_balance
+        )
 
     @torch.no_grad()
     def fit_normalisation(self, frames: FrameTensors, *, generator: torch.Generator) -> None:
         """Sets what is not trained, such as mean images, from training frames; draws from a generator on the CPU."""
         for name, encoder in self._by_camera():
             encoder.fit_normalisation(frames[name], generator=generator)
+        for name, balance in zip(self._names, self.balances, strict=False):
+            cast(WhiteBalance, balance).fit(frames[name])
         self._compared = {name: each[:: -(-len(each) // _COMPARED_FRAMES)].clone() for name, each in frames.items()}
 
     @torch.no_grad()
@@ -57,7 +68,10 @@ class CameraEncoders(nn.Module):
 
     def forward(self, frames: FrameTensors) -> Tensor:
         """Returns features, float32 (N, D), of frames by camera, uint8 (N, H, W, C)."""
-        return torch.cat([encoder(frames[name]) for name, encoder in self._by_camera()], dim=1)
+        seen = dict(frames)
+        for name, balance in zip(self._names, self.balances, strict=False):
+            seen[name] = balance(seen[name])
+        return torch.cat([encoder(seen[name]) for name, encoder in self._by_camera()], dim=1)
 
     def _is_dead(self, encoder: Encoder, frames: Tensor) -> bool:
         if bool((frames == frames[0]).all()):

@@ -1,0 +1,58 @@
+import numpy as np
+import pytest
+import torch
+
+from freerein.learning.encoders import ENCODERS, CameraEncoders
+from freerein.learning.encoders.white_balance import WhiteBalance
+from freerein.types.common import Camera
+
+
+def frames(count: int) -> torch.Tensor:
+    """Returns frames of one background, uint8 (N, 16, 24, 3), with noise of a few levels."""
+    rng = np.random.default_rng(0)
+    background = rng.integers(60, 200, size=(16, 24, 3))
+    return torch.from_numpy((background + rng.integers(-3, 4, size=(count, 16, 24, 3))).astype(np.uint8))
+
+
+@pytest.fixture
+def balance() -> WhiteBalance:
+    made = WhiteBalance(height=16, width=24, channels=3)
+    made.fit(frames(40))
+    return made
+
+
+@pytest.mark.parametrize("light", [(0.6, 0.6, 0.6), (1.2, 1.0, 0.8)])
+def test_frames_come_back_to_the_light_of_the_training_frames(
+    balance: WhiteBalance, light: tuple[float, float, float]
+) -> None:
+    seen = frames(5)
+    lit = (seen * torch.tensor(light)).round().clamp(max=255).to(torch.uint8)
+    assert (balance(lit).float() - seen.float()).abs().mean() < 3
+    assert balance(lit).dtype == torch.uint8
+
+
+def test_an_object_that_covers_a_third_of_the_frame_does_not_change_the_light_of_the_rest(
+    balance: WhiteBalance,
+) -> None:
+    seen = frames(5)
+    covered = seen.clone()
+    covered[:, :, :8] = 250
+    assert (balance(covered)[:, :, 8:].float() - seen[:, :, 8:].float()).abs().mean() < 3
+
+
+def test_a_black_frame_stays_black(balance: WhiteBalance) -> None:
+    assert not balance(torch.zeros_like(frames(1))).any()
+
+
+def test_encoders_see_balanced_frames_of_each_camera() -> None:
+    cameras = [Camera(name, 16, 24, 3) for name in ("front", "observation.images.wrist")]
+    encoders = CameraEncoders(ENCODERS["spatial"], cameras, features=8, white_balance=True)
+    seen = {camera.name: frames(40) for camera in cameras}
+    encoders.fit_normalisation(seen, generator=torch.Generator().manual_seed(0))
+    dim = {name: (0.7 * each).round().to(torch.uint8) for name, each in seen.items()}
+    unbalanced = CameraEncoders(ENCODERS["spatial"], cameras, features=8)
+    unbalanced.encoders.load_state_dict(encoders.encoders.state_dict())
+    with torch.no_grad():
+        nominal = encoders(seen)
+        change, without = (encoders(dim) - nominal).abs().mean(), (unbalanced(dim) - nominal).abs().mean()
+    assert change < without / 5
