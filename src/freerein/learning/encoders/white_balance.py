@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor, nn
 
-_STRIDE = 2
-"""Of the pixels whose ratios are compared, along both axes."""
+_COMPARED = 16
+"""Rows and columns of the pixels whose ratios are compared, about."""
 
 _LEAST = 0.05
 """Of a ratio: what is darker than that cannot be brightened."""
@@ -29,7 +29,7 @@ class WhiteBalance(nn.Module):
 
     def forward(self, frames: Tensor) -> Tensor:
         """Returns frames uint8 (N, H, W, C) in the light of the mean image."""
-        some = (slice(None, None, _STRIDE),) * 2
-        ratios = frames[:, *some].float() / self.mean_image[*some]
+        rows, columns = (slice(None, None, max(1, side // _COMPARED)) for side in frames.shape[1:3])
+        ratios = frames[:, rows, columns].float() / self.mean_image[rows, columns]
         light = ratios.flatten(1, 2).transpose(1, 2).median(dim=2).values.clamp(min=_LEAST)  # (N, C)
         return (frames / light[:, None, None]).round_().clamp_(0, 255).to(torch.uint8)
