@@ -89,7 +89,7 @@ def _learn_from_data() -> list[Step]:
             method="goal_cloning",
             steps=1500,
             augmentation=0.0,
-            white_balance=False,
+            normalise_exposure=False,
         ),
     ]
 
@@ -109,7 +109,7 @@ def _evaluate_and_practise() -> list[Step]:
             after="label-blocks",
             method="skills",
             augmentation=0.0,
-            white_balance=False,
+            normalise_exposure=False,
         ),
         _evaluate("recipes", "recipes", task="blocks", policy={"model": "first-skills"}, episodes=40, num_envs=40),
         _ppo("ppo-first", own, **UNTRAINED),

@@ -69,7 +69,7 @@ _STARTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 )
 """Where episodes of a training by PPO begin, and whether its eye is fitted to augmented frames, by method."""
 
-_UNAUGMENTED: Mapping[str, Any] = MappingProxyType({"augmentation": 0.0, "white_balance": False})
+_UNAUGMENTED: Mapping[str, Any] = MappingProxyType({"augmentation": 0.0, "normalise_exposure": False})
 """Of fits that see frames as they were recorded."""
 
 SHIFTED = ("light-0.8", "camera-5cm", "hue-plus-10", "hue-minus-10")

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from freerein.learning.encoders.encoder import Encoder, EncoderClass
-from freerein.learning.encoders.white_balance import WhiteBalance
+from freerein.learning.encoders.exposure import ExposureNormalisation
 from freerein.types.common import Camera
 
 FrameTensors = Mapping[str, Tensor]
@@ -25,14 +25,14 @@ class CameraEncoders(nn.Module):
         encoder: Class of the encoders: a value of `ENCODERS`.
         cameras: The cameras.
         features: Number of features per camera.
-        white_balance: Whether frames are brought to the light of the training frames first.
+        normalise_exposure: Whether frames are made as bright as the training frames first.
 
     Attributes:
         size: D, the number of features of all cameras.
     """
 
     def __init__(
-        self, encoder: EncoderClass, cameras: Sequence[Camera], *, features: int, white_balance: bool = False
+        self, encoder: EncoderClass, cameras: Sequence[Camera], *, features: int, normalise_exposure: bool = False
     ) -> None:
         super().__init__()
         self.size = features * len(cameras)
@@ -42,10 +42,10 @@ class CameraEncoders(nn.Module):
             encoder(height=camera.height, width=camera.width, channels=camera.channels, features=features)
             for camera in cameras
         )
-        self.balances = nn.ModuleList(
-            WhiteBalance(height=camera.height, width=camera.width, channels=camera.channels)
+        self.exposures = nn.ModuleList(
+            ExposureNormalisation(height=camera.height, width=camera.width, channels=camera.channels)
             for camera in cameras
-            if white_balance
+            if normalise_exposure
         )
 
     @torch.no_grad()
@@ -53,8 +53,8 @@ class CameraEncoders(nn.Module):
         """Sets what is not trained, such as mean images, from training frames; draws from a generator on the CPU."""
         for name, encoder in self._by_camera():
             encoder.fit_normalisation(frames[name], generator=generator)
-        for name, balance in zip(self._names, self.balances, strict=False):
-            cast(WhiteBalance, balance).fit(frames[name])
+        for name, exposure in zip(self._names, self.exposures, strict=False):
+            cast(ExposureNormalisation, exposure).fit(frames[name])
         self._compared = {name: each[:: -(-len(each) // _COMPARED_FRAMES)].clone() for name, each in frames.items()}
 
     @torch.no_grad()
@@ -69,8 +69,8 @@ class CameraEncoders(nn.Module):
     def forward(self, frames: FrameTensors) -> Tensor:
         """Returns features, float32 (N, D), of frames by camera, uint8 (N, H, W, C)."""
         seen = dict(frames)
-        for name, balance in zip(self._names, self.balances, strict=False):
-            seen[name] = balance(seen[name])
+        for name, exposure in zip(self._names, self.exposures, strict=False):
+            seen[name] = exposure(seen[name])
         return torch.cat([encoder(seen[name]) for name, encoder in self._by_camera()], dim=1)
 
     def _is_dead(self, encoder: Encoder, frames: Tensor) -> bool:

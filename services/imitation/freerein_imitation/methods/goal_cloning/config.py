@@ -18,8 +18,8 @@ class GoalCloningConfig(DatasetFitConfig):
         close_steps: Frames at most so many actions apart show the same scene.
         far_steps: Frames at least so many actions apart may show a changed one.
         augmentation: Strength of the camera augmentation; 0 for none, as for worlds that are drawn without a camera.
-        white_balance: Whether frames are brought to the light of the training frames: each channel by the median of its
-            ratios to the mean image. For cameras that do not move.
+        normalise_exposure: Whether frames are made as bright as the training frames, by the median of their ratios to
+            the mean image. For cameras that do not move.
         batch_size: Windows per update; each gives many pairs of observation and goal.
         features: Image features per camera.
         hidden_size: Units of the hidden layers.
@@ -33,7 +33,7 @@ class GoalCloningConfig(DatasetFitConfig):
     close_steps: int = bounded(12, least=1, most=1000)
     far_steps: int = bounded(20, least=2, most=10_000)
     augmentation: float = bounded(1.0, least=0.0, most=1.0)
-    white_balance: bool = True
+    normalise_exposure: bool = True
     steps: int = bounded(2500, least=1, most=10_000_000)
     batch_size: int = bounded(8, least=1, most=1024)
     lr: float = bounded(3e-3, least=1e-7, most=1.0)

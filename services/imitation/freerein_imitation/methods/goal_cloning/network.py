@@ -31,13 +31,13 @@ class GoalCloningSpec(InputSpec):
         encoder: Image encoder.
         features: Image features per camera.
         hidden_size: Units of the hidden layers.
-        white_balance: Whether frames are brought to the light of the training frames.
+        normalise_exposure: Whether frames are made as bright as the training frames.
     """
 
     encoder: str = one_of(ENCODERS, "moments")
     features: int = bounded(80, least=8, most=1024)
     hidden_size: int = bounded(256, least=8, most=1024)
-    white_balance: bool = False
+    normalise_exposure: bool = False
 
     @property
     def categories(self) -> int:
@@ -54,7 +54,7 @@ class GoalCloningNetwork(PolicyNetwork):
         super().__init__()
         self.spec = spec
         self.encoder = CameraEncoders(
-            ENCODERS[spec.encoder], spec.cameras, features=spec.features, white_balance=spec.white_balance
+            ENCODERS[spec.encoder], spec.cameras, features=spec.features, normalise_exposure=spec.normalise_exposure
         )
         inputs, outputs = 3 * self.encoder.size + spec.encoded_action_size, spec.action.size * spec.categories
         self.policy = perceptron(inputs, outputs, hidden_size=spec.hidden_size, depth=_DEPTH)

@@ -15,8 +15,8 @@ class SkillsConfig(DatasetFitConfig):
         termination_steps: Timesteps after a segment's last in which the termination target stays 1.
         termination_weight: Weight of the termination loss relative to the action loss.
         augmentation: Strength of the camera augmentation; 0 for none, as for worlds that are drawn without a camera.
-        white_balance: Whether frames are brought to the light of the training frames: each channel by the median of its
-            ratios to the mean image. For cameras that do not move.
+        normalise_exposure: Whether frames are made as bright as the training frames, by the median of their ratios to
+            the mean image. For cameras that do not move.
         batch_size: Timesteps per update.
         hidden_size: Units of the hidden layers.
     """
@@ -25,7 +25,7 @@ class SkillsConfig(DatasetFitConfig):
     termination_steps: int = bounded(3, least=0, most=1000)
     termination_weight: float = bounded(0.1, least=0.0, most=100.0)
     augmentation: float = bounded(1.0, least=0.0, most=1.0)
-    white_balance: bool = True
+    normalise_exposure: bool = True
     steps: int = bounded(12_000, least=1, most=10_000_000)
     batch_size: int = bounded(64, least=1, most=4096)
     hidden_size: int = bounded(192, least=8, most=1024)

@@ -46,7 +46,8 @@ TERMINATION_THRESHOLD = 0.97
 few timesteps, and to end early the object."""
 
 _HAND_SHARE, _MAPS_SHARE = 0.07, 0.04
-"""Shares of a fit's steps for the hand, and for the heat maps."""
+_HAND_SHARE_AUGMENTED, _MAPS_SHARE_AUGMENTED = 0.09, 0.09
+"""Shares of a fit's steps for the hand, and for the heat maps, which see more where frames are augmented."""
 
 _NORMALISATION_FRAMES = 500
 _EVALUATED_STEPS = 1000
@@ -169,7 +170,9 @@ class SkillsLearner(Learner[SkillsNetwork]):
 
     def _hand_and_maps(self) -> tuple[int, int]:
         """Returns the steps after which the hand is learned, and after which the maps are, too."""
-        hand, maps = np.round(np.cumsum([_HAND_SHARE, _MAPS_SHARE]) * self.config.steps).astype(int).tolist()
+        is_augmented = self.config.augmentation > 0
+        shares = (_HAND_SHARE_AUGMENTED, _MAPS_SHARE_AUGMENTED) if is_augmented else (_HAND_SHARE, _MAPS_SHARE)
+        hand, maps = np.round(np.cumsum(shares) * self.config.steps).astype(int).tolist()
         return hand, maps
 
     def evaluate(self, state: State) -> float:

@@ -13,7 +13,7 @@ from torch.nn import functional
 from freerein.config import bounded
 from freerein.errors import InvalidInput
 from freerein.learning.encoders import FrameTensors
-from freerein.learning.encoders.white_balance import WhiteBalance
+from freerein.learning.encoders.exposure import ExposureNormalisation
 from freerein.learning.image_statistics import statistics_size
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
@@ -37,7 +37,7 @@ class SkillsSpec(InputSpec):
     Attributes:
         skills: Names of the skills.
         hidden_size: Units of the hidden layers.
-        white_balance: Whether frames are brought to the light of the training frames.
+        normalise_exposure: Whether frames are made as bright as the training frames.
 
     Raises:
         InvalidInput: There are no skills, there is more than one camera, or actions are discrete or out of bounds.
@@ -45,7 +45,7 @@ class SkillsSpec(InputSpec):
 
     skills: tuple[str, ...]
     hidden_size: int = bounded(192, least=8, most=1024)
-    white_balance: bool = False
+    normalise_exposure: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -102,7 +102,7 @@ class SkillsNetwork(PolicyNetwork):
         self.termination_head = nn.Linear(spec.hidden_size, 1)
         self.in_distribution = InDistribution(statistics_size(spec.cameras))
         sizes = {"height": camera.height, "width": camera.width, "channels": camera.channels}
-        self.balance = WhiteBalance(**sizes) if spec.white_balance else None
+        self.exposure = ExposureNormalisation(**sizes) if spec.normalise_exposure else None
         self.register_buffer("mean_image", torch.zeros(camera.channels, camera.height, camera.width))
         self.register_buffer("pixel_std", torch.ones(()))
         self.register_buffer("speed", torch.ones(()))
@@ -116,8 +116,8 @@ class SkillsNetwork(PolicyNetwork):
             actions: Executed ones, float32 (M, A).
         """
         (only,) = frames.values()
-        if self.balance:
-            self.balance.fit(only)
+        if self.exposure:
+            self.exposure.fit(only)
         pixels = only.permute(0, 3, 1, 2).float()
         self.mean_image.copy_(pixels.mean(dim=0))
         self.pixel_std.copy_((pixels - self.mean_image).std().clamp(min=1.0))
@@ -128,8 +128,8 @@ class SkillsNetwork(PolicyNetwork):
     def pixels(self, frames: FrameTensors) -> Tensor:
         """Returns normalised pixels, float32 (N, C, H, W), of frames uint8 (N, H, W, C) of the one camera."""
         (only,) = frames.values()
-        if self.balance:
-            only = self.balance(only)
+        if self.exposure:
+            only = self.exposure(only)
         return (only.permute(0, 3, 1, 2).float() - self.mean_image) / self.pixel_std
 
     def forward(

@@ -1,4 +1,4 @@
-"""White balance: frames as they would be in the light of the training frames."""
+"""Exposure: frames as bright as the training frames were."""
 
 import torch
 from torch import Tensor, nn
@@ -10,10 +10,11 @@ _LEAST = 0.05
 """Of a ratio: what is darker than that cannot be brightened."""
 
 
-class WhiteBalance(nn.Module):
-    """Divides each channel of a frame by the median of its ratios to the mean image of a camera that does not move.
+class ExposureNormalisation(nn.Module):
+    """Divides a frame by the median of its ratios to the mean image, of a camera that does not move.
 
-    Most pixels show what does not move, whatever an object or an arm covers; so the median is that of the light.
+    Most pixels show what does not move, whatever an object or an arm covers; so the median is that of the light. One
+    ratio for all channels leaves a frame its tint, by which turned hues are told from other colours.
     """
 
     mean_image: Tensor
@@ -28,8 +29,8 @@ class WhiteBalance(nn.Module):
         self.mean_image.copy_(frames.float().mean(dim=0).clamp(min=1.0))
 
     def forward(self, frames: Tensor) -> Tensor:
-        """Returns frames uint8 (N, H, W, C) in the light of the mean image."""
+        """Returns frames uint8 (N, H, W, C), as bright as the mean image."""
         rows, columns = (slice(None, None, max(1, side // _COMPARED)) for side in frames.shape[1:3])
         ratios = frames[:, rows, columns].float() / self.mean_image[rows, columns]
-        light = ratios.flatten(1, 2).transpose(1, 2).median(dim=2).values.clamp(min=_LEAST)  # (N, C)
-        return (frames / light[:, None, None]).round_().clamp_(0, 255).to(torch.uint8)
+        light = ratios.flatten(1).median(dim=1).values.clamp(min=_LEAST)  # (N,)
+        return (frames / light[:, None, None, None]).round_().clamp_(0, 255).to(torch.uint8)
