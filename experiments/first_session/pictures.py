@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from experiments.first_session.record import Record
+from experiments.workbench.plots import png
 from freerein.cli.connection import channel_to
 from freerein.cli.demo import pictures
 from freerein.cli.demo.evaluations import filmstrip, filmstrip_failure, labelled_trajectory, reward_examples
@@ -19,13 +20,15 @@ async def draw(record: Record, folder: Path, addresses: Mapping[str, str]) -> No
     """Writes the pictures to a folder; `addresses` are those of the services."""
     for task in ("grid", "blocks"):
         labelled = labelled_trajectory(record.evaluation(f"{task}-labels"))
-        pictures.timeline_figure(labelled, task=task).savefig(folder / f"timeline-{task}.png")
+        figure = pictures.timeline_figure(labelled, task=task)
+        (folder / f"timeline-{task}.png").write_bytes(png(figure))
     examples = await _reward_examples(record, addresses["reward"])
     shown = "first held-out image of each relation, of two blocks and of four"
-    pictures.rewards_figure(examples, images=shown).savefig(folder / "rewards.png")
+    (folder / "rewards.png").write_bytes(png(pictures.rewards_figure(examples, images=shown)))
     landmarks = record.evaluation("landmarks")
     if goals := filmstrip(landmarks):
-        pictures.filmstrip_figure(goals, filmstrip_failure(landmarks)).savefig(folder / "filmstrip.png")
+        figure = pictures.filmstrip_figure(goals, filmstrip_failure(landmarks))
+        (folder / "filmstrip.png").write_bytes(png(figure))
 
 
 async def _reward_examples(record: Record, address: str) -> list[RewardExample]:

@@ -1,6 +1,5 @@
 """The table of a session, from what its result holds."""
 
-import io
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from experiments.first_session.figures import Figure, Session, figures, returns_by_panel
 from experiments.first_session.pipeline import FULL, TASKS, TEXTS
 from experiments.workbench.claims import Claim
+from experiments.workbench.plots import png
 from experiments.workbench.results import ArmResult
 from experiments.workbench.table import Picture, Section, Table, words
 from freerein.cli.demo.curves import returns_figure
@@ -96,6 +96,4 @@ def _draw(session: Session, kept: Mapping[str, Any]) -> bytes:
         subtitle="control steps of 100 at the goal by true states, in the same 50 episodes each; lines are 95 % "
         "intervals",
     )
-    drawn = io.BytesIO()
-    figure.savefig(drawn, format="png")
-    return drawn.getvalue()
+    return png(figure)
