@@ -63,17 +63,13 @@ class CameraTakes:
         *,
         strength: float,
         generator: torch.Generator,
-        most_shift: float = _SHIFT,
     ) -> "CameraTakes":
-        """Returns takes of frames of height and width `frame_size`; `strength` is as of `augment_camera`.
-
-        `most_shift` is the largest shift along each axis at full strength, as a share of the frame.
-        """
+        """Returns takes of frames of height and width `frame_size`; `strength` is as of `augment_camera`."""
 
         def draw(*sizes: int) -> Tensor:  # uniform in [-strength, strength], float32 (N, *sizes)
             return strength * (2 * torch.rand((count, *sizes), generator=generator) - 1)
 
-        scale = torch.tensor([most_shift * side for side in frame_size])
+        scale = torch.tensor([_SHIFT * side for side in frame_size])
         offsets, turns = (scale * draw(2)).round().long(), _HUE_TURN * draw()
         warmth, tint = draw(), draw()
         gains = torch.stack([1 + _TEMPERATURE * warmth, 1 + _TINT * tint, 1 - _TEMPERATURE * warmth], dim=1)

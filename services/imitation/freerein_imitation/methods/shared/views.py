@@ -10,10 +10,6 @@ from freerein.learning.augmentation import CameraTakes
 from freerein.learning.encoders import FrameTensors
 from freerein.types.common import Camera
 
-_MOST_SHIFT = 0.16
-"""Largest shift along each axis, as a share of the frame. What acts must be right to a pixel or two, and so must have
-seen shifts beyond those that it shall bear: a camera a metre away that is moved by 5 cm sees all moved by 11 %."""
-
 
 @dataclass(frozen=True)
 class Views:
@@ -39,9 +35,7 @@ class Views:
         if not self.strength:
             return frames, moved
         which = (torch.rand(count, generator=self.generator) < self.share).nonzero()[:, 0].to(frames.device)
-        takes = CameraTakes.draw(
-            len(which), (height, width), strength=self.strength, generator=self.generator, most_shift=_MOST_SHIFT
-        )
+        takes = CameraTakes.draw(len(which), (height, width), strength=self.strength, generator=self.generator)
         seen = frames.clone()
         seen[which] = takes.of(frames[which], self.generator)
         sides = torch.tensor([width, height], device=frames.device)
@@ -65,9 +59,7 @@ class SharedView:
     def draw(cls, cameras: Sequence[Camera], *, strength: float, generator: torch.Generator) -> "SharedView":
         """Returns a view of cameras; `strength` is that of the augmentation, 0 for frames as they were recorded."""
         takes = {
-            each.name: CameraTakes.draw(
-                1, (each.height, each.width), strength=strength, generator=generator, most_shift=_MOST_SHIFT
-            )
+            each.name: CameraTakes.draw(1, (each.height, each.width), strength=strength, generator=generator)
             for each in cameras
             if strength
         }
