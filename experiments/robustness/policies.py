@@ -78,6 +78,9 @@ SHIFTED = ("light-0.8", "camera-5cm", "hue-plus-10", "hue-minus-10")
 SHIFTED_SCENES = ("light-0.8", "blocks-4", "camera-5cm")
 """Conditions under which policies act whose eye was fitted to augmented frames."""
 
+CONDITIONS = tuple(dict.fromkeys((NOMINAL, *SHIFTED, *SHIFTED_SCENES)))
+"""All conditions under which policies act."""
+
 _LANDMARK_EPISODES, _RECIPES, _RETURN_EPISODES = 128, 100, 100
 _SENTENCE_EPISODES = 32
 _NUM_ENVS = 64
@@ -250,7 +253,7 @@ def _landmark_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
 
 def _by_condition(form: str, trials: Trials) -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
     """Yields the conditions under which a form was evaluated, each with its trials."""
-    for condition in (NOMINAL, *dict.fromkeys(SHIFTED + SHIFTED_SCENES)):
+    for condition in CONDITIONS:
         if episodes := trials.get(_step_name(form, condition)):
             yield condition, episodes
 

@@ -63,6 +63,7 @@ def table(results: Sequence[ArmResult]) -> Table:
             _absent_section(results),
             _wordings_section(results),
             _visited_section(results),
+            _policies_section(results),
             _trainings_section(results),
             _speed_section(results),
         ),
@@ -183,6 +184,24 @@ def _visited_section(results: Sequence[ArmResult]) -> Section:
         "precision if that share were 40 %",
     )
     return Section(header, tuple(rows), "Reward on states that PPO's policies visit")
+
+
+def _policies_section(results: Sequence[ArmResult]) -> Section:
+    """Policies that were fitted to augmented frames, under every condition in which they acted."""
+    figures = {
+        policies.SKILLS_AUGMENTED: (policies.RECIPE_SKILLS, policies.RECIPE_WHOLE),
+        policies.GOAL_CLONING_AUGMENTED: (policies.LANDMARKS_FREE, policies.LANDMARKS_BLOCK, policies.FLAG_AUROC),
+        policies.PPO_AUGMENTED: (policies.RETURN_ALL, policies.RETURN_WRONG_ORDER),
+    }
+    rows = []
+    for world, method in sorted({(each.world, each.method) for each in results if each.method in figures}):
+        arms = [each for each in results if (each.world, each.method) == (world, method)]
+        for figure in figures[method]:
+            names = [policies.under(condition, figure) for condition in policies.CONDITIONS]
+            found = [_interval(arms, name) if all(name in each.samples for each in arms) else "" for name in names]
+            rows.append((world, method, figure, str(len(arms)), *found))
+    header = ("task", "method", "share", "seeds", *policies.CONDITIONS)
+    return Section(header, tuple(rows), "Policies that were fitted to augmented frames, where they acted")
 
 
 def _trainings_section(results: Sequence[ArmResult]) -> Section:
