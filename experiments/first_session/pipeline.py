@@ -87,6 +87,7 @@ def _learn_from_data() -> list[Step]:
             "first-goals",
             "exploration",
             method="goal_cloning",
+            features=80,
             steps=1500,
             augmentation=0.0,
             normalise_exposure=False,

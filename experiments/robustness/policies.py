@@ -107,8 +107,8 @@ class PolicyArm:
 
 
 def _follow(arm: Arm) -> list[Step]:
-    unaugmented = _UNAUGMENTED if arm.method == GOAL_CLONING else {}  # the other method has no augmentation
-    return [*_follower(arm, method=arm.method, **unaugmented), _landmarks(NOMINAL)]
+    as_measured = {**_UNAUGMENTED, "features": 80} if arm.method == GOAL_CLONING else {}
+    return [*_follower(arm, method=arm.method, **as_measured), _landmarks(NOMINAL)]
 
 
 def _follow_shifted(arm: Arm) -> list[Step]:

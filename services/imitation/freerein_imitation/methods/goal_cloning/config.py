@@ -37,7 +37,7 @@ class GoalCloningConfig(DatasetFitConfig):
     steps: int = bounded(2500, least=1, most=10_000_000)
     batch_size: int = bounded(8, least=1, most=1024)
     lr: float = bounded(3e-3, least=1e-7, most=1.0)
-    features: int = bounded(80, least=8, most=1024)
+    features: int = bounded(160, least=8, most=1024)
     hidden_size: int = bounded(256, least=8, most=1024)
     evaluate_every: int = bounded(100, least=1, most=1_000_000)
 
