@@ -34,7 +34,9 @@ HAND, RED, BLUE = (230, 230, 230), (220, 30, 30), (30, 30, 220)
 CPU = torch.device("cpu")
 CAMERAS = (Camera("front", 8, SIDE, 3),)
 ACTION = ActionSpec(1, 0, ("right",))
-FAST = SkillsConfig(steps=1200, batch_size=16, lr=5e-3, min_segment_steps=2, hidden_size=32, evaluate_every=400)
+FAST = SkillsConfig(
+    steps=1200, batch_size=16, lr=5e-3, min_segment_steps=2, hidden_size=32, evaluate_every=400, augmentation=0.0
+)
 
 
 def picture(hand: float, red: float, blue: float) -> npt.NDArray[np.uint8]:
@@ -176,11 +178,12 @@ def test_few_frames_like_those_of_the_fit_have_low_in_distribution_scores_and_no
     assert policy.step(noise, policy.encode_goals(["to-red"] * 100), *start).in_distribution.max() < FLAGGED
 
 
-def test_each_part_of_a_fit_trains_its_own_layers() -> None:
-    cloned = learner(replace(FAST, steps=100))
+@pytest.mark.parametrize(("augmentation", "steps"), [(0.0, (0, 7, 13)), (1.0, (0, 9, 19))])
+def test_each_part_of_a_fit_trains_its_own_layers(augmentation: float, steps: tuple[int, ...]) -> None:
+    cloned = learner(replace(FAST, steps=100, augmentation=augmentation))
     state = cloned.init(torch.Generator().manual_seed(0))
     changed = []
-    for step in (0, 9, 19):
+    for step in steps:
         before = {name: each.clone() for name, each in state.network.state_dict().items()}
         state, _ = cloned.update(replace(state, step=step), np.arange(32))
         changed.append(
