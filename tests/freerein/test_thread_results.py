@@ -66,4 +66,4 @@ def test_a_closed_loop_gets_nothing_and_its_pipe_is_closed(run: Callable[..., An
     assert not future.done()
     del results, future
     gc.collect()
-    assert len(list(FILES.iterdir())) == before
+    assert len(list(FILES.iterdir())) <= before

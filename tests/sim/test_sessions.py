@@ -547,7 +547,7 @@ async def test_three_hundred_sessions_leave_nothing_behind(start: StartSessions)
         await sessions.close_session(CloseSessionRequest(session))
 
     assert len(sessions) == 0
-    assert [process.num_fds() for process in processes] == files
+    assert all(process.num_fds() <= before for process, before in zip(processes, files, strict=True))
     for process, before in zip(processes, memory, strict=True):
         assert process.memory_info().rss < 1.05 * before
 
@@ -635,5 +635,5 @@ async def test_a_closed_service_has_no_processes_and_no_files_open(fork_worker: 
 
     assert set(children()) == processes
     assert asyncio.all_tasks() <= tasks
-    assert psutil.Process().num_fds() == files
+    assert psutil.Process().num_fds() <= files  # garbage of earlier tests may close some
     assert len(sessions) == 0
