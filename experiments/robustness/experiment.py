@@ -15,10 +15,12 @@ from experiments.robustness import (
     scenes,
     segmentation,
     speed,
+    unfamiliar,
     visited_states,
     wordings,
 )
-from experiments.robustness.draw import Spec, open_or_draw
+from experiments.robustness.draw import Scenes, Spec, open_or_draw
+from experiments.robustness.targets import OURS
 from experiments.robustness.visited_states import StoredPolicy, stored_policies
 from experiments.robustness.worlds import DEMONSTRATED, NOMINAL, SCATTERED
 from experiments.segmentation import guesses
@@ -34,7 +36,7 @@ from freerein_segmentation.training import SegmentationConfig
 AUGMENTATION: Mapping[str, float] = MappingProxyType({"augmented": 1.0, "plain": 0.0})
 """Strength of the camera augmentation of a fit, by variant; the first is the library's default."""
 
-SEGMENTATION, REWARD, PPO = "segmentation", "reward", "ppo"
+SEGMENTATION, REWARD, PPO, UNFAMILIAR = "segmentation", "reward", "ppo", unfamiliar.METHOD
 
 _VERSION = 1
 """Of the evaluation; a new one replaces all results."""
@@ -77,6 +79,7 @@ class RobustnessExperiment(Experiment):
                 for world, method in fitted
                 for seed in range(self.seeds)
             ),
+            *(Arm(world, UNFAMILIAR, {}, seed) for world in (DEMONSTRATED, SCATTERED) for seed in range(self.seeds)),
             *(Arm(task, PPO) for task in tasks),
             *policies.arms(self.seeds),
             *(Arm(policies.SIDES[0], policies.PPO_SPEED, seed=run) for run in range(policies.SPEED_RUNS)),
@@ -97,16 +100,18 @@ class RobustnessExperiment(Experiment):
             return config | {"reward_model": goal_texts.reward_version()}
         if arm.method in policies.METHODS:
             return config | {"steps": list(policies.METHODS[arm.method].steps(arm))}
-        if arm.method == SEGMENTATION:
+        if _segments(arm):
             config |= {"fit": _segmentation_config(arm), "training": segmentation.TRAINING}
-        if arm.method == REWARD:
+        if _rewards(arm):
             config |= {"fit": _reward_config(arm), "training": reward.TRAINING}
-        if arm.method in (REWARD, "captions"):
+        if _rewards(arm) or arm.method == "captions":
             config["grounding"] = reward.grounding_version()
+        if arm.method == UNFAMILIAR:
+            config["effects"] = list(unfamiliar.EFFECTS)
         if arm.world == DEMONSTRATED:
             config["test"] = segmentation.test_specs()
         elif arm.world == SCATTERED:
-            config["test"] = list(scenes.scene_specs().values())
+            config["test"] = list(_scenes(arm).values())
         else:
             config["test"] = visited_states.rollouts(self._policies[arm.world], NOMINAL)
         return config
@@ -116,7 +121,7 @@ class RobustnessExperiment(Experiment):
         if arm.method in (*policies.METHODS, policies.PPO_SPEED, goal_texts.TEXTS):
             return True
         specs = (segmentation.TRAINING, *segmentation.test_specs().values())
-        more: tuple[Spec, ...] = (reward.TRAINING, *scenes.scene_specs().values())
+        more: tuple[Spec, ...] = (reward.TRAINING, *unfamiliar.scene_specs().values())
         for spec in (*specs, *more):
             open_or_draw(spec, work)
         return True
@@ -132,9 +137,10 @@ class RobustnessExperiment(Experiment):
         torch.set_num_threads(1)
         if found := _FOUND.get((arm.world, arm.method)):
             return found(work)
-        if arm.method == SEGMENTATION:
+        if _segments(arm):
             segmenter = segmentation.fit_model(_segmentation_config(arm), work, on_progress)
-            return None if segmenter is None else segmentation.evaluate(segmenter, work)
+            evaluate = unfamiliar.evaluate_segmentation if arm.method == UNFAMILIAR else segmentation.evaluate
+            return None if segmenter is None else evaluate(segmenter, work)
         if arm.method == PPO:
             return visited_states.evaluate_policy(self._policies[arm.world], work)
         model = reward.fit_model(_reward_config(arm), work, on_progress)
@@ -144,6 +150,8 @@ class RobustnessExperiment(Experiment):
         """Returns the figures of a reward model."""
         if arm.world != SCATTERED:
             return visited_states.evaluate(model, self._policies[arm.world], work)
+        if arm.method == UNFAMILIAR:
+            return unfamiliar.evaluate_reward(model, work)
         parts = [scenes.evaluate(model, work), wordings.evaluate(model, work)]
         return Outcome({}, {name: sample for part in parts for name, sample in part.samples.items()})
 
@@ -158,9 +166,26 @@ def _train_policy(arm: Arm, folder: Path, on_progress: Callable[[], None]) -> Ou
     return None if trials is None else made.outcome(trials)
 
 
+def _segments(arm: Arm) -> bool:
+    return arm.method == SEGMENTATION or (arm.method, arm.world) == (UNFAMILIAR, DEMONSTRATED)
+
+
+def _rewards(arm: Arm) -> bool:
+    return arm.method == REWARD or (arm.method, arm.world) == (UNFAMILIAR, SCATTERED)
+
+
+def _scenes(arm: Arm) -> Mapping[tuple[str, str], Scenes]:
+    return unfamiliar.scene_specs() if arm.method == UNFAMILIAR else scenes.scene_specs()
+
+
 def _segmentation_config(arm: Arm) -> SegmentationConfig:
-    return segmentation.fit_config(augmentation=AUGMENTATION[arm.options["fit"]], seed=arm.seed)
+    return segmentation.fit_config(augmentation=_augmentation(arm), seed=arm.seed)
 
 
 def _reward_config(arm: Arm) -> RewardConfig:
-    return reward.fit_config(augmentation=AUGMENTATION[arm.options["fit"]], seed=arm.seed)
+    return reward.fit_config(augmentation=_augmentation(arm), seed=arm.seed)
+
+
+def _augmentation(arm: Arm) -> float:
+    """Returns the strength of an arm's augmentation; of one without variants, the library's default."""
+    return AUGMENTATION[arm.options.get("fit", OURS)]

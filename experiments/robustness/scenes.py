@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from experiments.robustness import confidence
 from experiments.robustness.confidence import Answers
 from experiments.robustness.draw import Drawn, Scenes, open_or_draw
 from experiments.robustness.reward import EPSILON, PHRASES, open_grounding
@@ -71,28 +70,26 @@ def true_relations(states: npt.NDArray[np.float64]) -> Labels:
 
 
 def evaluate(model: DualEncoderModel, work: Path) -> Outcome:
-    """Returns accuracies, rewards of absent blocks, and figures of the in-distribution score."""
+    """Returns accuracies and rewards of absent blocks."""
+    return Outcome({}, _judge_all(lambda drawn: judge(model, drawn)[0], work))
+
+
+def judge(model: DualEncoderModel, drawn: Drawn) -> tuple[Judged, Answers]:
+    """Returns what a model prefers and rewards, and its answers about each pair, absence among them."""
     texts, _ = model.embed_texts(pair_captions(PHRASES, ordered_pairs(len(PHRASES))))
-    answers: dict[str, Answers] = {}
-
-    def judge(drawn: Drawn, place: str) -> Judged:
-        seen = model.embed_images({CAMERA: drawn.seen["frames"]})
-        similarities = (seen.vectors @ texts.T).clip(-1, 1)  # (M, P * CAPTIONS)
-        similarities = similarities.reshape(len(seen.vectors), -1, CAPTIONS)
-        answers[place] = _answers(model, drawn, similarities, seen.distances)
-        relation = similarities[..., :ABSENT].argmax(axis=2)
-        return Judged(relation, similarities[..., :ABSENT].max(axis=2) > similarities[..., ABSENT])
-
-    samples = _judge_all(judge, work)
-    nominal = confidence.pool(answers[f"{NOMINAL}.{blocks}"] for blocks in BLOCKS)
-    return Outcome({}, {**samples, **confidence.samples(confidence.pool(answers.values()), nominal=nominal)})
+    seen = model.embed_images({CAMERA: drawn.seen["frames"]})
+    similarities = (seen.vectors @ texts.T).clip(-1, 1)  # (M, P * CAPTIONS)
+    similarities = similarities.reshape(len(seen.vectors), -1, CAPTIONS)
+    relation = similarities[..., :ABSENT].argmax(axis=2)
+    judged = Judged(relation, similarities[..., :ABSENT].max(axis=2) > similarities[..., ABSENT])
+    return judged, _answers(model, drawn, similarities, seen.distances)
 
 
 def evaluate_captions(work: Path) -> Outcome:
     """Returns the figures of table 4.1's rule at the places where the grounding model finds the blocks."""
     grounding = open_grounding()
 
-    def judge(drawn: Drawn, _: str) -> Judged:
+    def judge(drawn: Drawn) -> Judged:
         found = grounding.ground(drawn.seen["frames"], PHRASES)
         everywhere = np.ones(found.x.shape, np.bool_)
         relation = flatten_pairs(pairwise_relations(found.x, found.y, everywhere, epsilon=EPSILON))
@@ -105,14 +102,14 @@ def evaluate_captions(work: Path) -> Outcome:
 
 def evaluate_majority(work: Path) -> Outcome:
     """Returns the figures of the commonest relation, which it knows, for all pairs of all scenes."""
-    return Outcome({}, _judge_all(lambda drawn, _: _constant(_commonest(_truth(drawn)), _truth(drawn)), work))
+    return Outcome({}, _judge_all(lambda drawn: _constant(_commonest(truth_of(drawn)), truth_of(drawn)), work))
 
 
 def evaluate_word_blind(work: Path) -> Outcome:
     """Returns the figures of the commonest relation of each scene, which it knows, whatever pair is asked for."""
 
-    def judge(drawn: Drawn, _: str) -> Judged:
-        truth = _truth(drawn)
+    def judge(drawn: Drawn) -> Judged:
+        truth = truth_of(drawn)
         relation = np.array([np.full(len(scene), _commonest(scene)) for scene in truth])
         return Judged(relation, np.ones(truth.shape, np.bool_))
 
@@ -135,13 +132,12 @@ def score(judged: Judged, truth: Labels, lengths: Labels) -> Iterator[tuple[str,
         yield ABSENT_REWARDED, _by_trial(judged.is_rewarded & ~is_shown, ~is_shown, lengths)
 
 
-def _judge_all(judge: Callable[[Drawn, str], Judged], work: Path) -> dict[str, Sample]:
+def _judge_all(judge: Callable[[Drawn], Judged], work: Path) -> dict[str, Sample]:
     samples = {}
     for (condition, blocks), spec in scene_specs().items():
-        drawn, place = open_or_draw(spec, work), f"{condition}.{blocks}"
-        judged = judge(drawn, place)
-        for name, sample in score(judged, _truth(drawn), drawn.seen["lengths"]):
-            samples[f"{place}.{name}"] = sample
+        drawn = open_or_draw(spec, work)
+        for name, sample in score(judge(drawn), truth_of(drawn), drawn.seen["lengths"]):
+            samples[f"{condition}.{blocks}.{name}"] = sample
     return samples
 
 
@@ -158,7 +154,7 @@ def _answers(
     distances: npt.NDArray[np.float32],
 ) -> Answers:
     """Returns the answers about each pair, absence among them; those of an episode are one trial."""
-    truth, scaled = _truth(drawn), model.network.temperature(torch.from_numpy(similarities))
+    truth, scaled = truth_of(drawn), model.network.temperature(torch.from_numpy(similarities))
     scores = [model.in_distribution(distances, np.ascontiguousarray(each)) for each in similarities.swapaxes(0, 1)]
     lengths = drawn.seen["lengths"]
     return Answers(
@@ -169,7 +165,8 @@ def _answers(
     )
 
 
-def _truth(drawn: Drawn) -> Labels:
+def truth_of(drawn: Drawn) -> Labels:
+    """Returns the relation of each ordered pair in scenes, int64 (M, P); see `true_relations`."""
     return true_relations(drawn.truth["states"])
 
 

@@ -7,11 +7,10 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from experiments.robustness import confidence
 from experiments.robustness.confidence import Answers
 from experiments.robustness.draw import Demonstrations, Drawn, dataset_path, open_or_draw
 from experiments.robustness.fits import fit_once
-from experiments.robustness.worlds import CAMERA, NOMINAL, conditions
+from experiments.robustness.worlds import CAMERA, conditions
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.workbench.results import Outcome, Sample
 from freerein.learning.inputs import spec_of
@@ -55,7 +54,9 @@ def fit_model(config: SegmentationConfig, work: Path, on_progress: Callable[[], 
             fraction=config.validation_fraction, seed=config.seed
         )
         cameras = tuple(camera for camera in spec.cameras if camera.name == CAMERA)
-        network = spec_of(config, ModelSpec, cameras=cameras, action=spec.action, skills=spec.skills)
+        network = spec_of(
+            config, ModelSpec, cameras=cameras, action=spec.action, skills=spec.skills, scores_colours=True
+        )
         return SegmentationLearner(config, network, training, validation, data, torch.device("cpu"))
 
     data = dataset_path(TRAINING, work).name
@@ -64,24 +65,27 @@ def fit_model(config: SegmentationConfig, work: Path, on_progress: Callable[[], 
 
 
 def evaluate(model: SegmentationModel, work: Path) -> Outcome:
-    """Returns frame accuracies after the service's decoding, and figures of the in-distribution score."""
-    samples: dict[str, Sample] = {}
-    answers: dict[str, Answers] = {}
+    """Returns frame accuracies after the service's decoding."""
+    samples = {}
     for condition, spec in test_specs().items():
-        drawn = open_or_draw(spec, work)
-        labels = drawn.by_trajectory("labels")
-        pairs = zip(drawn.by_trajectory("frames"), drawn.by_trajectory("actions"), strict=True)
-        predictions = [model.predict(*pair) for pair in pairs]
-        decoded = [_decode(each.probabilities, model.skills) for each in predictions]
-        right = [each.labels == truth for each, truth in zip(decoded, labels, strict=True)]
+        answered = answers(model, open_or_draw(spec, work))
+        right = np.split(answered.right, np.flatnonzero(np.diff(answered.trial)) + 1)
         samples[f"{condition}.{FRAME_ACCURACY}"] = Sample.of_flags(right)
-        answers[condition] = Answers(
-            right=np.concatenate(right),
-            confidence=np.concatenate([each.confidence for each in decoded]),
-            score=np.concatenate([each.in_distribution for each in predictions]),
-            trial=np.repeat(np.arange(len(labels)), [len(each) for each in labels]),
-        )
-    return Outcome({}, {**samples, **confidence.samples(confidence.pool(answers.values()), nominal=answers[NOMINAL])})
+    return Outcome({}, samples)
+
+
+def answers(model: SegmentationModel, drawn: Drawn) -> Answers:
+    """Returns the answers of a model after the service's decoding, one for each timestep."""
+    labels = drawn.by_trajectory("labels")
+    pairs = zip(drawn.by_trajectory("frames"), drawn.by_trajectory("actions"), strict=True)
+    predictions = [model.predict(*pair) for pair in pairs]
+    decoded = [_decode(each.probabilities, model.skills) for each in predictions]
+    return Answers(
+        right=np.concatenate([each.labels == truth for each, truth in zip(decoded, labels, strict=True)]),
+        confidence=np.concatenate([each.confidence for each in decoded]),
+        score=np.concatenate([each.in_distribution for each in predictions]),
+        trial=np.repeat(np.arange(len(labels)), [len(each) for each in labels]),
+    )
 
 
 def evaluate_guess(guess: Guess, work: Path) -> Outcome:

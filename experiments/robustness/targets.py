@@ -11,10 +11,11 @@ from experiments.robustness import (
     policies,
     scenes,
     speed,
+    unfamiliar,
     visited_states,
     wordings,
 )
-from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, NOMINAL, SCATTERED, conditions
+from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, DISTRACTORS, NOMINAL, SCATTERED, conditions
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 
 OURS, BASELINE = "augmented", "plain"
@@ -97,18 +98,42 @@ def _accuracies(*named: str) -> tuple[str, ...]:
     return tuple(f"{condition}.{blocks}.{scenes.ACCURACY}" for condition in named for blocks in BLOCKS)
 
 
-def _confidence(prefix: str, model: str, worlds: tuple[str, ...]) -> tuple[Target, ...]:
-    name, text = f"{prefix}_in_distribution_", f"{model}, in-distribution score: "
-    return (
-        Target(f"{name}auroc", f"{text}AUROC, right against wrong", worlds, (confidence.AUROC,), least=0.9),
-        Target(f"{name}flagged", f"{text}nominal answers flagged", worlds, (confidence.FLAGGED_SHARE,), most=0.05),
-        Target(
-            f"{name}flagged_05",
-            f"{text}nominal answers under 0.05, the first threshold",
-            worlds,
-            (confidence.UNDER_05,),
-        ),
-        Target(f"{name}ece", f"{text}ECE of what is not flagged", worlds, (confidence.CALIBRATION_ERROR,), most=0.05),
+def _confidence(prefix: str, model: str, world: str) -> Iterator[Target]:
+    figures: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
+        ("auroc", "AUROC, right against wrong, all conditions and effects", confidence.AUROC, {"least": 0.9}),
+        ("within", "the same within the worst condition", unfamiliar.WITHIN, {"least": 0.9}),
+        ("flagged", "nominal answers flagged", confidence.FLAGGED_SHARE, {"most": 0.05}),
+        ("flagged_05", "nominal answers under 0.05, the first threshold", confidence.UNDER_05, {}),
+        ("harmless", "the most flagged where accuracy falls by less than .02", unfamiliar.HARMLESS, {"most": 0.2}),
+        ("harmful", "the fewest flagged where accuracy is below .75", unfamiliar.HARMFUL, {"least": 0.9}),
+        ("ece", "ECE of what is not flagged", confidence.CALIBRATION_ERROR, {"most": 0.05}),
+    )
+    for name, text, figure, bounds in figures:
+        told = f"{model}, in-distribution score: {text}"
+        yield Target(f"{prefix}_in_distribution_{name}", told, (world,), (figure,), method=unfamiliar.METHOD, **bounds)
+
+
+def _distracted() -> Iterator[Target]:
+    """Yields the claims of rewards in scenes in which a thing that is no block has the colour of one."""
+    shown = "a ball or a picture in a block's colour"
+    more: dict[str, Any] = {"worlds": (SCATTERED,), "method": unfamiliar.METHOD}
+    balanced = tuple(f"{name}.{blocks}.{scenes.BALANCED}" for name in DISTRACTORS for blocks in BLOCKS)
+    absent = tuple(f"{name}.blocks-2.{scenes.ABSENT_REWARDED}" for name in DISTRACTORS)
+    yield Target(
+        "reward_distractors",
+        f"reward, balanced accuracy, %: {shown}",
+        samples=balanced,
+        least=85,
+        unit=_PER_CENT,
+        also=("reward_distractors_absent",),
+        **more,
+    )
+    yield Target(
+        "reward_distractors_absent",
+        "answers there about an absent block that are rewarded",
+        samples=absent,
+        most=0.05,
+        **more,
     )
 
 
@@ -272,8 +297,9 @@ TARGETS = (
         goal_texts.ASKED_BACK,
         *goal_texts.READERS,
     ),
-    *_confidence("seg", "segmentation", (DEMONSTRATED,)),
-    *_confidence("reward", "reward", (SCATTERED,)),
+    *_confidence("seg", "segmentation", DEMONSTRATED),
+    *_confidence("reward", "reward", SCATTERED),
+    *_distracted(),
     _followed("flag_auroc", "goal-reached flag on visited states: AUROC", policies.FLAG_AUROC, least=0.95),
     _followed("flag_ece", "goal-reached flag there: ECE", policies.FLAG_ECE, most=0.05),
     _followed("flag_recall", "goal-reached flag there: recall at precision 0.9", policies.FLAG_RECALL, least=0.7),

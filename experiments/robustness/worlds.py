@@ -20,10 +20,14 @@ CURRICULUM = "start-on-the-way"
 """A condition to learn under: no policy need hold under it."""
 
 
+DISTRACTORS = ("ball", "picture")
+"""Conditions of the scenes in which a thing that is no block has the colour of one."""
+
+
 @cache
 def conditions(task: str) -> tuple[str, ...]:
-    """Returns `NOMINAL`, then what a task declares; of numbers of blocks only those in which `blocks` differs."""
-    declared = [each for each in tasks()[task].conditions if each.name != CURRICULUM]
+    """Returns `NOMINAL`, then what a task declares but distractors; of numbers of blocks those `blocks` differs in."""
+    declared = [each for each in tasks()[task].conditions if each.name not in (CURRICULUM, *DISTRACTORS)]
     counts = {"blocks-2", "blocks-3"} if task == DEMONSTRATED else set()
     return (NOMINAL, *(each.name for each in declared if each.group != "blocks" or each.name in counts))
 

@@ -16,7 +16,9 @@ def make_learner(
     world = spec.world
     return SegmentationLearner(
         config,
-        spec_of(config, ModelSpec, cameras=world.cameras[:1], action=world.action, skills=world.skills),
+        spec_of(
+            config, ModelSpec, cameras=world.cameras[:1], action=world.action, skills=world.skills, scores_colours=True
+        ),
         open_split(folder, spec, "train", sees_frames=sees_frames),
         open_split(folder, spec, "validation", sees_frames=sees_frames),
         fingerprint=folder.name,

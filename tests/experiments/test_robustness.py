@@ -15,6 +15,7 @@ from experiments.robustness import (
     scenes,
     segmentation,
     targets,
+    unfamiliar,
     wordings,
     worlds,
 )
@@ -45,7 +46,8 @@ def results(world: str, values: Mapping[str, float], *, seeds: int = 3) -> list[
     """Results of a fitted model whose figures all have these values, in all trials."""
     samples = {name: Sample([value] * 4, [1] * 4) for name, value in values.items()}
     method = "segmentation" if world == "blocks" else "reward"
-    return [result(Arm(world, method, {"fit": "augmented"}, seed), samples) for seed in range(seeds)]
+    arms = (Arm(world, method, {"fit": "augmented"}, seed) for seed in range(seeds))
+    return [result(arm, samples) for arm in arms]
 
 
 def test_scenes_of_two_conditions_begin_alike_and_look_different() -> None:
@@ -91,6 +93,30 @@ def test_figures_of_confidence_are_those_of_the_metrics() -> None:
     assert samples[confidence.AUROC].mean == pytest.approx(metrics.auroc(score, right), abs=1e-6)
     assert samples[confidence.CALIBRATION_ERROR].mean == pytest.approx(ece, abs=1e-6)
     assert samples[confidence.FLAGGED_SHARE].mean == pytest.approx(1 - kept.mean(), abs=1e-6)
+
+
+def test_a_score_is_judged_where_nothing_is_lost_and_where_much_is() -> None:
+    trial, one = np.repeat(np.arange(5), 20), np.ones(100)
+    flagged, familiar = 0 * one, np.linspace(0.5, 1, 100)
+    answers = {
+        "nominal": Answers(familiar >= 0.52, one, familiar, trial),
+        "harmless": Answers(familiar >= 0.52, one, np.where(trial == 0, flagged, familiar), trial),
+        "harmful": Answers(familiar >= 0.9, one, np.where(trial == 0, familiar, flagged), trial),
+    }
+    figures = unfamiliar.score_figures(answers)
+    assert figures[unfamiliar.HARMLESS].mean == pytest.approx(0.2)
+    assert figures[unfamiliar.HARMFUL].mean == pytest.approx(0.8)
+    assert figures[unfamiliar.WITHIN].mean == pytest.approx(metrics.auroc(answers["harmful"].score, familiar >= 0.9))
+
+
+def test_effects_change_what_their_names_say() -> None:
+    frames = RNG.integers(256, size=(2, 8, 8, 3), dtype=np.uint8)
+    seen = {name: effect(frames) for name, effect in unfamiliar.EFFECTS.items()}
+    assert all(each.shape == frames.shape and each.dtype == np.uint8 for each in seen.values())
+    assert all(each.flags.c_contiguous for each in seen.values())
+    assert (np.ptp(seen["gray"], axis=3) == 0).all()
+    assert seen["gamma-0.6"].mean() > frames.mean() > seen["gamma-1.6"].mean()
+    assert (seen["black"] == 0).all()
 
 
 def test_answers_of_two_conditions_are_trials_apart() -> None:
@@ -143,9 +169,9 @@ def test_a_claim_is_the_worst_of_its_conditions() -> None:
 
 @pytest.mark.parametrize(("value", "met"), [(0.05, True), (0.051, False)])
 def test_where_smaller_is_better_a_claim_must_not_exceed_its_target(value: float, met: bool) -> None:
-    (made,) = made_claims.make_claims(
-        results("blocks", {confidence.FLAGGED_SHARE: value}), [claim_named("seg_in_distribution_flagged")]
-    )
+    samples = {confidence.FLAGGED_SHARE: Sample([value] * 4, [1] * 4)}
+    measured = [result(Arm("blocks", unfamiliar.METHOD, {}, seed), samples) for seed in range(3)]
+    (made,) = made_claims.make_claims(measured, [claim_named("seg_in_distribution_flagged")])
     assert made.claim.met is met
     assert made.target.must_reach == "≤ 0.05"
 

@@ -30,7 +30,8 @@ def test_scores_of_held_out_answers_are_evenly_spread() -> None:
 def test_what_is_far_from_all_known_features_is_flagged_however_sure() -> None:
     score, features, _ = fitted()
     far = features.mean(dim=0) + 10 * (features.max(dim=0).values - features.mean(dim=0))
-    assert score(score.distance(far[None]), torch.ones(1)).item() == 0.0
+    unsure, sure = score(score.distance(far[None]).expand(2), torch.tensor([0.5, 1.0]))
+    assert unsure < sure < 1e-5
 
 
 def test_the_less_sure_of_two_equal_frames_scores_less() -> None:
@@ -49,12 +50,39 @@ def test_a_model_without_confidence_and_features_that_never_change_are_scored() 
     score = InDistribution(2)
     score.fit(torch.ones(10, 2), torch.ones(5, 2), torch.ones(5), trajectories=1)
     same, other = score(score.distance(torch.tensor([[1.0, 1.0], [1.0, 2.0]])), torch.ones(2))
-    assert (same, other) == (1.0, 0.0)
+    assert same == 1.0
+    assert other < 1e-5
 
 
-def test_until_it_is_fitted_every_score_is_one() -> None:
-    score = InDistribution(2)
+@pytest.mark.parametrize("kinds", [(2,), (1, 1)])
+def test_until_it_is_fitted_every_score_is_one(kinds: tuple[int, ...]) -> None:
+    score = InDistribution(*kinds)
     assert score(score.distance(torch.randn(4, 2)), torch.rand(4)).tolist() == [1.0] * 4
+
+
+def test_a_frame_is_as_far_as_the_few_statistics_of_one_kind_among_many_of_another() -> None:
+    generator = torch.Generator().manual_seed(0)
+    known, held_out = (torch.randn(HELD_OUT, 102, generator=generator) for _ in range(2))
+    frame = torch.zeros(1, 102)
+    frame[0, 100:] = 12.0
+    told = {}
+    for kinds in ((102,), (100, 2)):
+        score = InDistribution(*kinds)
+        score.fit(known, held_out, torch.rand(HELD_OUT, generator=generator), trajectories=100, augmented=True)
+        told[kinds] = score(score.distance(frame), torch.ones(1)).item()
+    assert told[100, 2] < FLAGGED < told[(102,)]
+
+
+def test_fits_to_augmented_frames_allow_twice_the_distance() -> None:
+    _, features, confidence = fitted()
+    for augmented, farthest in ((False, 1.0), (True, 2.0)):
+        score = InDistribution(3)
+        score.fit(features, features, confidence, trajectories=100, augmented=augmented)
+        direction = torch.ones(1, 3)
+        reach = score.distance(features).max() / score.distance(features.mean(dim=0) + direction)
+        for times, flagged in ((0.7 * farthest, False), (1.1 * farthest, True)):
+            far = features.mean(dim=0) + times * reach * direction
+            assert bool(score(score.distance(far), torch.ones(1)) < FLAGGED) == flagged
 
 
 def of_trajectories(count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:

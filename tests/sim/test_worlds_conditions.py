@@ -136,6 +136,28 @@ def test_cameras_are_moved_anew_in_each_episode_by_as_much_and_the_episode_stays
     assert len(set(seen)) == 3
 
 
+@pytest.mark.parametrize("condition", ["ball", "picture"])
+def test_a_distractor_is_drawn_anew_in_each_episode_and_the_episode_stays(condition: str) -> None:
+    task = TASKS["blocks.scatter"]
+    with closing(build(task, (condition,))) as world, closing(build(task)) as nominal:
+        changed = []
+        for seed in range(20):
+            for each in (world, nominal):
+                each.reset(np.random.default_rng(seed))
+            snapshot, seen = world.snapshot(), front(world)
+            np.testing.assert_array_equal(world.truth().state, nominal.truth().state)
+            differs = (seen != front(nominal)).any(axis=2)
+            changed.append(differs.tobytes())
+            assert differs.sum() < 200
+
+            world.step(np.zeros(3, np.float32))
+            world.reset(np.random.default_rng(seed + 1))
+            world.restore(snapshot)
+            np.testing.assert_array_equal(front(world), seen)
+
+    assert len(set(changed)) > 15
+
+
 def test_the_expert_travels_at_its_speed() -> None:
     lengths = {}
     for speed in ("nominal", "speed-0.5", "speed-2"):

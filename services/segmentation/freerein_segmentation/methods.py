@@ -72,8 +72,8 @@ def _prepare(source: FitDataset, config: SegmentationConfig, device: torch.devic
 
 def _spec(source: FitDataset, config: SegmentationConfig, *, action_scaling: ActionScaling | None = None) -> ModelSpec:
     spec, cameras = source.dataset.spec, source.cameras(config.cameras)
-    skills = {"skills": spec.skills, "action_scaling": action_scaling}
-    return spec_of(config, ModelSpec, cameras=cameras, action=spec.action, **skills)
+    others = {"skills": spec.skills, "action_scaling": action_scaling, "scores_colours": True}
+    return spec_of(config, ModelSpec, cameras=cameras, action=spec.action, **others)
 
 
 def _card(source: FitDataset, learner: SegmentationLearner, fitted: FitResult[SegmentationNetwork]) -> dict[str, Any]:

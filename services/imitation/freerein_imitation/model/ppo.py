@@ -9,7 +9,7 @@ from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
-from freerein.learning.image_statistics import statistics_size
+from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.model.policy import ControlSpec
@@ -52,7 +52,7 @@ class PPOPolicyNetwork(PolicyNetwork):
         super().__init__()
         self.spec = spec
         self.actor_critic = ActorCritic(spec.network)
-        self.in_distribution = InDistribution(statistics_size(spec.cameras))
+        self.in_distribution = InDistribution(*statistics_sizes(spec.cameras))
 
 
 class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):

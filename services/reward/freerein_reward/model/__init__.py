@@ -2,7 +2,6 @@
 
 from freerein_reward.model.dual_encoder import DualEncoder as DualEncoder
 from freerein_reward.model.dual_encoder import channels_last as channels_last
-from freerein_reward.model.dual_encoder import view_statistics as view_statistics
 from freerein_reward.model.dual_encoder_model import DualEncoderModel as DualEncoderModel
 from freerein_reward.model.dual_encoder_model import ImageEmbeddings as ImageEmbeddings
 from freerein_reward.model.dual_encoder_model import preprocess as preprocess

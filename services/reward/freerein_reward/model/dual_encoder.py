@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from freerein.learning.encoders.clip import ClipImageEncoder
-from freerein.learning.image_statistics import image_statistics, statistics_size
+from freerein.learning.image_statistics import image_statistics, statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.types.common import Camera
 from freerein_reward.model.known_phrases import KnownPhrases
@@ -33,7 +33,7 @@ class DualEncoder(nn.Module):
         self.image = ClipImageEncoder(spec.image)
         self.text = ClipTextEncoder(spec, tokens=self.tokenizer.size)
         self.temperature = Temperature()
-        self.in_distribution = InDistribution(_statistics_size(spec)) if spec.phrases else None
+        self.in_distribution = InDistribution(*_statistics_sizes(spec)) if spec.phrases else None
         self.known_phrases = None if spec.phrases else KnownPhrases(spec.vocabulary, spec.embedding_dim)
 
     def embed_images(self, views: Tensor) -> Tensor:
@@ -45,7 +45,12 @@ class DualEncoder(nn.Module):
         """Returns how far views, uint8 (N, V, H, W, 3), are from the fit's: float32 (N,), 0 for a grounding model."""
         if self.in_distribution is None:
             return views.new_zeros(len(views), dtype=torch.float32)
-        return self.in_distribution.distance(view_statistics(views))
+        return self.in_distribution.distance(self.statistics(views))
+
+    def statistics(self, views: Tensor) -> Tensor:
+        """Returns what the in-distribution score sees, float32 (N, D), of views uint8 (N, V, H, W, 3)."""
+        by_camera = {str(number): view for number, view in enumerate(views.unbind(dim=1))}
+        return image_statistics(by_camera, colours=self.spec.scores_colours)
 
     def embed_texts(self, ids: Tensor) -> Tensor:
         """Returns the embeddings, float32 (K, D), of tokens int64 (K, L). Similarities with images are in [-1, 1]."""
@@ -62,14 +67,9 @@ class DualEncoder(nn.Module):
         return self.temperature.log_scale.device
 
 
-def view_statistics(views: Tensor) -> Tensor:
-    """Returns the image statistics of views, uint8 (N, V, H, W, 3): float32 (N, D)."""
-    return image_statistics({str(number): view for number, view in enumerate(views.unbind(dim=1))})
-
-
-def _statistics_size(spec: DualEncoderSpec) -> int:
+def _statistics_sizes(spec: DualEncoderSpec) -> tuple[int, ...]:
     size = spec.image_size
-    return statistics_size([Camera(name, size, size, 3) for name in spec.cameras])
+    return statistics_sizes([Camera(name, size, size, 3) for name in spec.cameras], colours=spec.scores_colours)
 
 
 def channels_last(network: DualEncoder) -> DualEncoder:

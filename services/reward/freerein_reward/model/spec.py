@@ -23,6 +23,7 @@ class DualEncoderSpec:
         text_depth: Layers of the text encoder.
         embedding_dim: Dimension of the embeddings; with phrases, of each pair's.
         presence_heat: Grad-CAM peak at which an object is present with probability 1/2; of a grounding model.
+        scores_colours: Whether the in-distribution score sees colourfulness, too; not in models of before.
 
     Raises:
         InvalidInput: There are no cameras or no words, or a size is not a multiple.
@@ -39,6 +40,7 @@ class DualEncoderSpec:
     text_depth: int = bounded(2, least=1, most=12)
     embedding_dim: int = bounded(64, least=4, most=1024)
     presence_heat: float = bounded(1.0, least=1e-6, most=1e6)
+    scores_colours: bool = False
 
     def __post_init__(self) -> None:
         is_uneven = self.image_size % 4 or self.width % 8 or self.text_width % 16

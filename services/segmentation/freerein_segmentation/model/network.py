@@ -12,7 +12,7 @@ from freerein.config import bounded, bounded_or_all, one_of
 from freerein.errors import InvalidInput
 from freerein.learning.action_scaling import ActionScaling
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
-from freerein.learning.image_statistics import statistics_size
+from freerein.learning.image_statistics import image_statistics, statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_segmentation.model.lookahead import MAX_CONTEXT, Context, countdown, look_ahead
@@ -37,6 +37,7 @@ class ModelSpec(InputSpec):
         context: Future timesteps of such a sequence that its scores depend on, or `all`; 0 is the dissertation's.
         features: Number of image features per camera.
         hidden_size: LSTM units per direction.
+        scores_colours: Whether the in-distribution score sees colourfulness, too; not in models of before.
 
     Raises:
         InvalidInput: There are no skills or several cameras, or frames or actions are out of bounds.
@@ -50,6 +51,7 @@ class ModelSpec(InputSpec):
     context: int | Literal["all"] = bounded_or_all("all", least=0, most=MAX_CONTEXT)
     features: int = bounded(64, least=8, most=1024)
     hidden_size: int = bounded(100, least=8, most=1024)
+    scores_colours: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -79,7 +81,7 @@ class SegmentationNetwork(nn.Module):
         self.past = nn.LSTM(inputs, spec.hidden_size, batch_first=True)
         self.future = nn.LSTM(inputs, spec.hidden_size, batch_first=True) if spec.context else None
         self.head = nn.Linear(spec.hidden_size * (2 if self.future else 1), len(spec.skills))
-        self.in_distribution = InDistribution(statistics_size(spec.cameras))
+        self.in_distribution = InDistribution(*statistics_sizes(spec.cameras, colours=spec.scores_colours))
 
     def forward(
         self, frames: FrameTensors, actions: Tensor, lengths: Tensor, *, context: Context | None = None
@@ -124,6 +126,10 @@ class SegmentationNetwork(nn.Module):
         if self.spec.action.choices:
             actions = functional.one_hot(actions[:, 0], self.spec.action.choices).to(seen.dtype)  # (N, choices)
         return torch.cat([seen, functional.relu(self.action(self.spec.scaled(actions)))], dim=1)  # (N, D)
+
+    def statistics(self, frames: FrameTensors) -> Tensor:
+        """Returns what the in-distribution score sees, float32 (N, D), of frames uint8 (N, H, W, C) by camera."""
+        return image_statistics(frames, colours=self.spec.scores_colours)
 
     def score(self, features: Tensor) -> Tensor:
         """Returns the scores (T, K) of one trajectory's features (T, D), as `forward` does.

@@ -13,7 +13,6 @@ import torch
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import model_files
 from freerein.learning.action_scaling import UnscaledActionSpec
-from freerein.learning.image_statistics import image_statistics
 from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
 from freerein_segmentation.model.stream import FRAMES_AT_ONCE, Prediction, SegmentationStream
 
@@ -114,7 +113,7 @@ class SegmentationModel:
         It copies the arrays, because those from the wire are read-only.
         """
         images = {self.camera.name: torch.tensor(frames, device=self._device)}
-        distances = self._network.in_distribution.distance(image_statistics(images))
+        distances = self._network.in_distribution.distance(self._network.statistics(images))
         return self._network.features(images, torch.tensor(actions, device=self._device)), distances
 
 

@@ -11,7 +11,6 @@ from freerein import metrics
 from freerein.learning import weights
 from freerein.learning.augmentation import agreement, augment_camera, delayed
 from freerein.learning.fit import FitResult
-from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.learner import Items, Learner, Losses, Stage, stage_at, unchanged
 from freerein.learning.train_state import TrainState
@@ -138,10 +137,14 @@ class SegmentationLearner(Learner[SegmentationNetwork]):
         held_out, confidence = [], []
         for batch in self._validation_batches():
             scores, mask = network(batch.frames, batch.actions, batch.lengths)
-            held_out.append(image_statistics(batch.frames))
+            held_out.append(network.statistics(batch.frames))
             confidence.append(scores[mask].softmax(dim=1).amax(dim=1))
         network.in_distribution.fit(
-            image_statistics(frames), torch.cat(held_out), torch.cat(confidence), trajectories=len(self.validation)
+            network.statistics(frames),
+            torch.cat(held_out),
+            torch.cat(confidence),
+            trajectories=len(self.validation),
+            augmented=strength > 0,
         )
 
     @torch.no_grad()

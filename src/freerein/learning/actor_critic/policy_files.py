@@ -15,7 +15,7 @@ from freerein.errors import FailedPrecondition, InvalidInput
 from freerein.learning import model_files, tensor_files, weights
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.checkpoints import JSON
-from freerein.learning.image_statistics import statistics_size
+from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.types.common import Camera
 
@@ -81,7 +81,7 @@ def load_in_distribution(folder: Path, *, cameras: Sequence[Camera]) -> InDistri
         FailedPrecondition: There is none beside the policy.
         InvalidInput: The file is malformed.
     """
-    path, score = folder / IN_DISTRIBUTION_FILE, InDistribution(statistics_size(cameras))
+    path, score = folder / IN_DISTRIBUTION_FILE, InDistribution(*statistics_sizes(cameras))
     if not path.is_file():
         raise FailedPrecondition(
             "The policy must have been stored with a score of how familiar a frame is; it was not.", hint=_MISSING

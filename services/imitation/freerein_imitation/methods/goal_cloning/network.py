@@ -12,7 +12,7 @@ from torch import Tensor
 
 from freerein.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders
-from freerein.learning.image_statistics import statistics_size
+from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.methods.goal_cloning.odometry_recognizer import OdometryRecognizer, perceptron
@@ -61,7 +61,7 @@ class GoalCloningNetwork(PolicyNetwork):
         self.recognizer = OdometryRecognizer(
             features=self.encoder.size, hidden_size=spec.hidden_size, action=spec.action
         )
-        self.in_distribution = InDistribution(statistics_size(spec.cameras))
+        self.in_distribution = InDistribution(*statistics_sizes(spec.cameras))
 
     def forward(self, features: Tensor, goal: Tensor, before: Tensor, previous: Tensor) -> Tensor:
         """Returns action logits, float32 (B, A, categories).

@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from freerein.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
-from freerein.learning.image_statistics import statistics_size
+from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextReader
@@ -68,7 +68,7 @@ class LanguageNetwork(PolicyNetwork):
         self.hidden1 = nn.Linear(self.encoder.size, spec.hidden_size)
         self.hidden2 = nn.Linear(spec.hidden_size, spec.hidden_size)
         self.action_head = nn.Linear(spec.hidden_size, spec.encoded_action_size)
-        self.in_distribution = InDistribution(statistics_size(spec.cameras))
+        self.in_distribution = InDistribution(*statistics_sizes(spec.cameras))
         self.reader = GoalTextReader(spec.text_size).requires_grad_(False)
         self.register_buffer("text_mean", torch.zeros(self.reader.code_size))
         self.register_buffer("text_basis", torch.zeros(self.reader.code_size, spec.text_components))

@@ -16,7 +16,7 @@ from torch.nn import functional
 from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
-from freerein.learning.image_statistics import statistics_size
+from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.methods.shared import action_bins
@@ -97,7 +97,7 @@ class SkillCloningNetwork(PolicyNetwork):
         self.film = nn.ModuleList(nn.Linear(len(spec.skills), 2 * hidden, bias=False) for _ in inputs)
         self.chunk_head = nn.Linear(hidden, sizes.chunk * sizes.outputs)
         self.termination_head = nn.Linear(hidden, 1)
-        self.in_distribution = InDistribution(statistics_size(spec.cameras))
+        self.in_distribution = InDistribution(*statistics_sizes(spec.cameras))
         self.register_buffer("action_mean", torch.zeros(sizes.outputs))
         self.register_buffer("action_std", torch.ones(sizes.outputs))
         if spec.robot_state_size:  # others have the weights that they had before there was a state

@@ -14,7 +14,7 @@ from freerein.config import bounded
 from freerein.errors import InvalidInput
 from freerein.learning.encoders import FrameTensors
 from freerein.learning.encoders.exposure import ExposureNormalisation
-from freerein.learning.image_statistics import statistics_size
+from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.methods.skills.keypoints import Hand, ReluLinear, SkillHeatMaps
@@ -100,7 +100,7 @@ class SkillsNetwork(PolicyNetwork):
         self.waypoint_head = nn.Linear(spec.hidden_size, size)
         self.direct = nn.Linear(known, size)
         self.termination_head = nn.Linear(spec.hidden_size, 1)
-        self.in_distribution = InDistribution(statistics_size(spec.cameras))
+        self.in_distribution = InDistribution(*statistics_sizes(spec.cameras))
         sizes = {"height": camera.height, "width": camera.width, "channels": camera.channels}
         self.exposure = ExposureNormalisation(**sizes) if spec.normalise_exposure else None
         self.register_buffer("mean_image", torch.zeros(camera.channels, camera.height, camera.width))

@@ -22,7 +22,7 @@ from freerein_reward.methods.relation_captions.caption_dataset import (
     pair_captions,
 )
 from freerein_reward.methods.relation_captions.config import RewardConfig
-from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last, view_statistics
+from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last
 
 State = TrainState[DualEncoder]
 
@@ -89,12 +89,16 @@ class RewardModelLearner(Learner[DualEncoder]):
         sampled = np.linspace(0, self.size - 1, min(self.size, KNOWN_FRAMES)).round().astype(np.int64)
         known = self.training.subset(sampled).augmented(self.config.augmentation, generator=generator)
         confidence = caption_scores(network, self.validation).softmax(dim=2).amax(dim=2)  # (N, pairs), an answer each
-        held_out = view_statistics(_stacked_views(self.validation))
+        held_out = network.statistics(_stacked_views(self.validation))
         if network.in_distribution is None:
             raise TypeError("This network has no in-distribution score; expected a model of relations.")
-        known_views = view_statistics(_stacked_views(known))
+        known_views = network.statistics(_stacked_views(known))
         parts = (each.to(self.device) for each in (known_views, held_out, confidence.flatten()))
-        network.in_distribution.fit(*parts, trajectories=self.held_out_trajectories or len(self.validation))
+        network.in_distribution.fit(
+            *parts,
+            trajectories=self.held_out_trajectories or len(self.validation),
+            augmented=self.config.augmentation > 0,
+        )
 
     def _mirror(self, batch: CaptionDataset, state: State) -> CaptionDataset:
         """Returns the batch with half of the images mirrored; not with several views, which would not fit together."""
@@ -114,6 +118,7 @@ def network_spec(grounding: DualEncoderSpec, config: RewardConfig) -> DualEncode
         hidden_size=config.hidden_size,
         embedding_dim=config.embedding_dim,
         presence_heat=1.0,
+        scores_colours=True,
     )
 
 

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import mujoco
 
+from freerein_sim.worlds.blocks.distractors import DISTRACTORS
 from freerein_sim.worlds.blocks.relations import BLOCK_M
 from freerein_sim.worlds.mujoco_world import Scene, asset_folder, compile_scene
 from freerein_sim.worlds.scenes import add_camera, add_lamp, add_servo, new_scene, use_firm_contacts
@@ -54,13 +55,14 @@ CAMERAS = {
 
 
 @lru_cache(maxsize=_CACHED_SCENES)
-def build(colours: tuple[str, ...], *, pad: bool = False, light: float = 1.0) -> Scene:
+def build(colours: tuple[str, ...], *, pad: bool = False, light: float = 1.0, distractor: str = "") -> Scene:
     """Returns the scene with one block of each colour. Cached, since compiling takes a tenth of a second.
 
     Args:
         colours: Colours of the blocks.
         pad: Whether there is a pad for hidden blocks.
         light: Factor of all lights.
+        distractor: Kind of the distractors; empty for none.
     """
     spec = new_scene(timestep_s=TIMESTEP_S, ambient=0.38, diffuse=0.38, znear=0.02, zfar=10)
     use_firm_contacts(spec)
@@ -72,6 +74,8 @@ def build(colours: tuple[str, ...], *, pad: bool = False, light: float = 1.0) ->
         _add_block(spec.worldbody, colour)
     if pad:
         spec.worldbody.add_geom(name="pad", type=mujoco.mjtGeom.mjGEOM_BOX, size=_PAD_HALF_M, pos=PAD_M)
+    if distractor:
+        DISTRACTORS[distractor].add(spec.worldbody, _RGBA)
     return compile_scene(spec, light=light)
 
 

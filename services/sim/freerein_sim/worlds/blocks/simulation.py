@@ -8,12 +8,14 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein_sim.worlds.blocks import scene
+from freerein_sim.worlds.blocks.distractors import DISTRACTORS
 from freerein_sim.worlds.blocks.goals import BlockGoal
 from freerein_sim.worlds.blocks.initial_states import PARKED_M, InitialStateSampler
 from freerein_sim.worlds.blocks.relations import Position, holds, is_visible
 from freerein_sim.worlds.blocks.spec import COLOURS, CONTROL_DT_S, FINGER_STEP_M, GRIPPER_STEP_M
 from freerein_sim.worlds.blocks.variation import Variation
 from freerein_sim.worlds.camera_moves import CameraMove
+from freerein_sim.worlds.generators import jumped
 from freerein_sim.worlds.mujoco_world import MakeWorldExpert, MujocoWorld
 from freerein_sim.worlds.world import Action, GroundTruth, StepResult, WorldSpec, check_actions, skill_indices
 
@@ -45,7 +47,12 @@ class BlocksWorld(MujocoWorld):
         goal: BlockGoal | None = None,
         make_expert: MakeWorldExpert | None = None,
     ) -> None:
-        built = scene.build(colours, pad=variation.fewest_blocks < len(colours), light=variation.light)
+        built = scene.build(
+            colours,
+            pad=variation.fewest_blocks < len(colours),
+            light=variation.light,
+            distractor=variation.distractor,
+        )
         super().__init__(spec, built, make_expert, _camera_move(variation))
         self.goal = goal
         self.variation = variation
@@ -61,6 +68,8 @@ class BlocksWorld(MujocoWorld):
                 field="skills",
             )
         self._simulation.reset(rng)
+        if self.variation.distractor:
+            DISTRACTORS[self.variation.distractor].show(self._data, jumped(rng))
         start = self._draw_initial_state(rng, wanted)
         for colour in self._colours:
             self._data.joint(colour).qpos = (*start.blocks[COLOURS.index(colour)], 1, 0, 0, 0)

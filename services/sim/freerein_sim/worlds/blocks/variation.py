@@ -27,11 +27,20 @@ _STARTS: dict[Condition, dict[str, Any]] = {
     Condition("start-unseen", "start", "each block begins within twice the interval"): {"is_start_unseen": True},
     Condition("start-on-the-way", "start", _ON_THE_WAY): {"is_start_on_the_way": True},
 }
+_DISTRACTORS: dict[Condition, dict[str, Any]] = {
+    Condition(
+        "ball", "distractor", "a ball in a block's colour, drawn for each episode, on the table behind the blocks"
+    ): {"distractor": "ball"},
+    Condition("picture", "distractor", "a round picture in a block's colour, drawn for each episode, on the wall"): {
+        "distractor": "picture"
+    },
+}
 """Conditions, and the fields of `Variation` that they set."""
 
-SCATTER_CONDITIONS = (*LIGHT_CONDITIONS, *_SEEN)
-FREE_CONDITIONS = (*SCATTER_CONDITIONS, *_SPEEDS)
-GOAL_CONDITIONS = (*SCATTER_CONDITIONS, *_STARTS)
+_ALL_CONDITIONS = (*LIGHT_CONDITIONS, *_SEEN)
+SCATTER_CONDITIONS = (*_ALL_CONDITIONS, *_DISTRACTORS)
+FREE_CONDITIONS = (*_ALL_CONDITIONS, *_SPEEDS)
+GOAL_CONDITIONS = (*_ALL_CONDITIONS, *_STARTS)
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,7 @@ class Variation:
         is_start_unseen: Whether blocks begin within the wider interval.
         is_start_on_the_way: Whether episodes may begin near the first block, or holding it.
         speed: Factor of the expert's speed of travel.
+        distractor: Kind of the distractor that is shown; empty for none.
     """
 
     blocks: int
@@ -57,12 +67,13 @@ class Variation:
     is_start_unseen: bool = False
     is_start_on_the_way: bool = False
     speed: float = 1.0
+    distractor: str = ""
 
     @classmethod
     def of(cls, conditions: Collection[str], *, blocks: int, fewest_blocks: int) -> "Variation":
         """Returns the variation under conditions of a task with numbers of blocks of its own."""
         variation = cls(blocks, fewest_blocks, light=light_scale(conditions))
-        for condition, changes in (_SEEN | _SPEEDS | _STARTS).items():
+        for condition, changes in (_SEEN | _SPEEDS | _STARTS | _DISTRACTORS).items():
             if condition.name in conditions:
                 variation = replace(variation, **changes)
         return variation

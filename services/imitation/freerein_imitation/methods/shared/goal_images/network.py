@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
-from freerein.learning.image_statistics import statistics_size
+from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.methods.shared import action_bins
@@ -85,7 +85,7 @@ class GoalImagesNetwork(PolicyNetwork):
         self.spec = spec
         self.policy = policy
         self.recognizer = GoalRecognizer(spec)
-        self.in_distribution = InDistribution(statistics_size(spec.cameras))
+        self.in_distribution = InDistribution(*statistics_sizes(spec.cameras))
 
     def fit_normalisation(self, frames: FrameTensors, *, generator: torch.Generator) -> None:
         """Sets what is not trained of the encoders from training frames, uint8 (N, H, W, C) by camera."""
