@@ -164,7 +164,7 @@ async def test_discrete_actions_are_served_too(served: Served, tmp_path: Path) -
 async def test_frames_unlike_the_visited_ones_are_told(served: Served, tmp_path: Path) -> None:
     leave(tmp_path, make())
     request = ActRequest(seen(np.zeros(SIZE, np.uint8)), Goal(text=GOAL), model=await served.publish())
-    assert (await served.acts.act(request)).in_distribution == 0
+    assert (await served.acts.act(request)).in_distribution < 1e-5
 
 
 async def test_a_run_without_a_policy_is_refused(served: Served, tmp_path: Path) -> None:

@@ -152,7 +152,7 @@ def test_a_run_s_policy_is_published_and_answers(
     expected = NetworkPolicy(load_policy(trained.folder / "artifacts", device="cpu").network)
     black = np.zeros((1, 64, 64, 3), np.uint8)
     np.testing.assert_allclose(reply.actions, expected.act(black, np.ones(1, np.bool_)), atol=1e-5)
-    assert reply.in_distribution == 0
+    assert reply.in_distribution < 1e-5
 
 
 class Killer:
