@@ -39,6 +39,9 @@ under 5 timesteps and does not tell its Gaussian."""
 LEAST_CONFIDENCE = 0.8
 """Smoothed probability under which a timestep is rejected where uncertain ones are, too; chosen in `blocks`."""
 
+_CLAIMED = {"validation": CONFIDENT_ACCURACY, "test": DECODED_ACCURACY}
+"""What claims are made of beside frame accuracy, by split."""
+
 _BATCH = 128
 
 
@@ -118,7 +121,8 @@ def score(
     figures |= {f"confident_{name}": value for name, value in confident_figures.items()}
     figures |= {f"unsmoothed_{KEPT_ACCURACY}": unsmoothed.mean}
     figures |= {f"unsmoothed_{name}": value for name, value in unsmoothed_figures.items()}
-    more = _named(split, figures, {DECODED_ACCURACY: accuracy, KEPT_ACCURACY: kept, CONFIDENT_ACCURACY: confident})
+    samples = {DECODED_ACCURACY: accuracy, CONFIDENT_ACCURACY: confident}
+    more = _named(split, figures, {name: each for name, each in samples.items() if name == _CLAIMED.get(split)})
     return Outcome({**found.figures, **more.figures}, {**found.samples, **more.samples})
 
 

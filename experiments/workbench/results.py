@@ -1,4 +1,4 @@
-"""The result of an arm: one JSON file in `results/EXPERIMENT/`; its samples are one compressed member."""
+"""The result of an arm: a JSON file in `results/EXPERIMENT/`; what only tables read is one compressed member."""
 
 import base64
 import json
@@ -24,6 +24,7 @@ TABLE_FILE = "table.json"
 """Name of the file of claims, which lies beside the results."""
 
 _PACKAGES = ("freerein", "numpy", "torch")
+_PACKED = ("samples", "shown")
 
 
 @dataclass(frozen=True)
@@ -103,10 +104,9 @@ class ArmResult:
 def save(result: ArmResult, folder: Path) -> None:
     """Writes `folder / <name>.json`."""
     document = asdict(result)
-    samples, shown = document.pop("samples"), document.pop("shown")
-    head = json.dumps({**document, "samples": _pack(samples)}, indent=1, allow_nan=False).removesuffix("\n}")
-    parts = [head, *([_lines("shown", shown)] if shown else [])]
-    write_atomic(folder / f"{result.name}.json", (",\n".join(parts) + "\n}\n").encode())
+    packed = _pack({name: document.pop(name) for name in _PACKED})
+    text = json.dumps({**document, "packed": packed}, indent=1, allow_nan=False)
+    write_atomic(folder / f"{result.name}.json", f"{text}\n".encode())
 
 
 def load_all(folder: Path) -> list[ArmResult]:
@@ -118,8 +118,9 @@ def load(path: Path) -> ArmResult:
     """Returns the result in a file. Raises FailedPrecondition when it is not one."""
     try:
         document: dict[str, Any] = json.loads(path.read_bytes())
-        samples = {name: Sample(**each) for name, each in _unpack(document.pop("samples")).items()}
-        return ArmResult(samples=samples, **document)
+        packed = _unpack(document.pop("packed"))
+        samples = {name: Sample(**each) for name, each in packed.pop("samples").items()}
+        return ArmResult(samples=samples, **packed, **document)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, lzma.LZMAError) as error:
         raise FailedPrecondition(
             "The result of an arm must be JSON with the fields of an arm's result; one is not.",
@@ -139,20 +140,11 @@ def machine() -> dict[str, JSON]:
     }
 
 
-def _pack(samples: Mapping[str, Mapping[str, Sequence[float]]]) -> str:
-    """Returns samples as text: base85 of their JSON by LZMA, a tenth as long."""
-    return base64.b85encode(lzma.compress(_compact(samples).encode(), preset=9)).decode()
+def _pack(document: Mapping[str, Any]) -> str:
+    """Returns JSON as text: base85 of it by LZMA, a tenth as long."""
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False)
+    return base64.b85encode(lzma.compress(text.encode(), preset=9)).decode()
 
 
 def _unpack(packed: str) -> dict[str, Any]:
     return dict(json.loads(lzma.decompress(base64.b85decode(packed))))
-
-
-def _lines(key: str, values: Mapping[str, Any]) -> str:
-    """Returns a member of a JSON object whose values are on lines of their own."""
-    lines = (f"    {json.dumps(name)}: {_compact(each)}" for name, each in values.items())
-    return f"  {json.dumps(key)}: {{\n" + ",\n".join(lines) + "\n  }"
-
-
-def _compact(document: Mapping[str, Any]) -> str:
-    return json.dumps(document, separators=(",", ":"), allow_nan=False)
