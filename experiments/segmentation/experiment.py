@@ -17,6 +17,7 @@ from experiments.segmentation import (
     weakly_supervised,
 )
 from experiments.segmentation.dataset import SPLITS, DatasetSpec, SplitName
+from experiments.segmentation.effects import under
 from experiments.segmentation.guesses import GUESSES, TRUTH
 from experiments.segmentation.packed import PACKED, PACKED_DECODED, pack
 from experiments.segmentation.report import Report
@@ -183,12 +184,21 @@ def _evaluate(study: Study, arm: Arm, fitted: Fitted, config: SegmentationConfig
         f"test.{PACKED}": pack(labels["test"]),
         f"test.{PACKED_DECODED}": pack(decoded["test"]),
     }
+    parts += [_evaluate_under(name, study, arm, fitted, data) for name in study.effects(arm)]
     figures = {evaluation.ACTION_LOSS: _action_loss(study, labels, spec=fitted.network.spec, data=data)}
     if arm.method != SUPERVISED:
         validation = dataset.open_split(data, study.data, "validation")
         tags = np.array([[skill in each for skill in study.data.world.skills] for each in validation.skills])
         figures[evaluation.GUESSED_TAG_LOSS] = round(evaluation.guessed_tag_loss(config, tags), 6)
     return _joined([*parts, Outcome(figures, {}, shown)])
+
+
+def _evaluate_under(effect: str, study: Study, arm: Arm, fitted: Fitted, data: Path) -> Outcome:
+    seen = dataset.open_split(data, study.data, "test", sees_frames=study.sees_frames(arm))
+    count = _evaluated(study, "test")
+    predicted = evaluation.predict(fitted.network, under(study.effects(arm)[effect], seen), count=count)
+    labels = [each.argmax(axis=1) for each in predicted]
+    return evaluation.score_guess(labels, truth.first_labels(data, "test", count), split=f"test.{effect}")
 
 
 def _action_loss(

@@ -1,5 +1,6 @@
 """The methods of chapter 2: the dissertation's, its baselines, ours, full supervision."""
 
+from experiments.segmentation.effects import EFFECTS
 from experiments.segmentation.study import SUPERVISED, Method, context_of
 from freerein.learning.checkpoints import JSON
 
@@ -8,6 +9,8 @@ OURS, OURS_FROM_LSE, OURS_AFTER, RECIPE = "ours", "ours_from_lse", "ours_after",
 
 LEARNING_RATES = (5e-4, 1.5e-3, 5e-3, 1.5e-2)
 """Peak learning rates that every method tries."""
+
+_RECIPE: dict[str, JSON] = {"objective": "lse_per_timestep", "final_objective": "set_likelihood"}
 
 
 def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tuple[Method, ...]:
@@ -25,12 +28,16 @@ def recipe(*, seeds: int) -> tuple[Method, ...]:
 
     Beside it stand two that are given less: no actions, and black frames.
     """
-    settings: dict[str, JSON] = {"objective": "lse_per_timestep", "final_objective": "set_likelihood"}
     return (
-        Method(RECIPE, (WHOLE,), settings, seeds=seeds),
-        Method(f"{RECIPE}_without_actions", (WHOLE,), settings | {"use_actions": False}, seeds=1),
-        Method(f"{RECIPE}_without_frames", (WHOLE,), settings, sees_frames=False, seeds=1),
+        Method(RECIPE, (WHOLE,), _RECIPE, effects=EFFECTS, seeds=seeds),
+        Method(f"{RECIPE}_without_actions", (WHOLE,), _RECIPE | {"use_actions": False}, seeds=1),
+        Method(f"{RECIPE}_without_frames", (WHOLE,), _RECIPE, sees_frames=False, seeds=1),
     )
+
+
+def recipe_augmented(context: str) -> Method:
+    """Returns the recipe fitted to augmented frames, in a context: what comes with freerein."""
+    return Method(f"{RECIPE}_augmented", (context,), _RECIPE | {"augmentation": 1.0}, effects=EFFECTS, seeds=1)
 
 
 def lse_as_published() -> Method:

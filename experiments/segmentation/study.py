@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from experiments.segmentation.dataset import DatasetSpec
+from experiments.segmentation.effects import Effect
 from experiments.workbench.arms import Arm
 from freerein.learning.checkpoints import JSON
 from freerein_segmentation.model import Context
@@ -27,6 +28,7 @@ class Method:
         contexts: Contexts of the network that it is trained in; see `context_of`.
         settings: Keys of the segmentation service's configuration that it alone sets; `SUPERVISED` needs none.
         sees_frames: Whether frames are shown to its networks as they are; otherwise all are black.
+        effects: Effects on test frames under which its networks are evaluated, too; see `effects`.
         seeds: Number of its networks, where it is another than the study's.
     """
 
@@ -34,6 +36,7 @@ class Method:
     contexts: tuple[str, ...]
     settings: Mapping[str, JSON] = field(default_factory=dict)
     sees_frames: bool = True
+    effects: Mapping[str, Effect] = field(default_factory=dict)
     seeds: int | None = None
 
 
@@ -99,6 +102,10 @@ class Study:
     def sees_frames(self, arm: Arm) -> bool:
         """Returns whether an arm's network is shown frames as they are."""
         return self._method(arm).sees_frames
+
+    def effects(self, arm: Arm) -> Mapping[str, Effect]:
+        """Returns the effects on test frames under which an arm's network is evaluated, too."""
+        return self._method(arm).effects
 
     def fit_config(self, arm: Arm) -> SegmentationConfig:
         """Returns the configuration of an arm's network; see `tries_learning_rates`."""
