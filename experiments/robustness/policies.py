@@ -230,7 +230,7 @@ def _obey(arm: Arm) -> list[Step]:
                 num_envs=50,
                 model_name=name,
                 seed=arm.seed,
-                config={"seed": arm.seed, "word_blind": name == _WORD_BLIND},
+                config={"seed": arm.seed, "conditioning": "none" if name == _WORD_BLIND else "text"},
             )
             for name in (_STUDENT, _WORD_BLIND)
         ),

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
+from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
@@ -17,6 +18,7 @@ from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods.language.config import LanguageConfig
 from freerein_imitation.methods.language.goal_text_dataset import GoalTextDataset, random_shift, split_by_text
 from freerein_imitation.methods.language.losses import LanguageLearner
+from freerein_imitation.methods.language.network import Conditioning
 from freerein_imitation.methods.language.policy import LanguagePolicy
 from freerein_imitation.methods.language.texts import reader_fit as goal_text_reader
 from freerein_imitation.methods.language.texts.text_encoder import TextEncoder
@@ -49,9 +51,9 @@ def roll_out(count: int, *, texts: Sequence[str] = TEXTS, seed: int = 0) -> Traj
     return Trajectories({"front": frames}, actions, goal_texts=[texts[item % len(texts)] for item in range(count)])
 
 
-def prepare(text_encoder_file: bytes, *, count: int = 12, word_blind: bool = False) -> LanguageLearner:
+def prepare(text_encoder_file: bytes, *, count: int = 12, conditioning: Conditioning = "text") -> LanguageLearner:
     return LanguageLearner.prepare(
-        replace(FAST, word_blind=word_blind),
+        replace(FAST, conditioning=conditioning),
         roll_out(count),
         text_encoder_file,
         cameras=CAMERAS,
@@ -62,7 +64,7 @@ def prepare(text_encoder_file: bytes, *, count: int = 12, word_blind: bool = Fal
 
 
 def test_the_sentence_decides_what_is_done(text_encoder_file: bytes, tmp_path: Path) -> None:
-    learner, blind = prepare(text_encoder_file), prepare(text_encoder_file, word_blind=True)
+    learner, blind = prepare(text_encoder_file), prepare(text_encoder_file, conditioning="none")
     told, untold = (fit(each, tmp_path / str(i)) for i, each in enumerate((learner, blind)))
     assert told is not None
     assert untold is not None
@@ -74,6 +76,21 @@ def test_the_sentence_decides_what_is_done(text_encoder_file: bytes, tmp_path: P
         assert (told.network(frames, right)[:, 0] > 0.5).all()
         assert (told.network(frames, left)[:, 0] < -0.5).all()
         assert torch.equal(untold.network(frames, left), untold.network(frames, right))
+
+
+def test_a_policy_of_codes_does_with_a_new_text_what_it_does_with_the_nearest_one(text_encoder_file: bytes) -> None:
+    learner = prepare(text_encoder_file, conditioning="code")
+    network = learner.init(torch.Generator().manual_seed(0)).network
+    frames = {"front": torch.from_numpy(learner.validation.trajectories.frames["front"][0])}
+
+    def actions(code: npt.NDArray[np.float32]) -> Tensor:
+        with torch.no_grad():
+            return network(frames, torch.from_numpy(code).expand(8, -1))
+
+    right, left = (learner.training.codes[text] for text in TEXTS)
+    assert torch.equal(actions(0.6 * right + 0.4 * left), actions(right))
+    assert torch.equal(actions(0.4 * right + 0.6 * left), actions(left))
+    assert not torch.equal(actions(right), actions(left))
 
 
 def test_few_held_out_frames_have_low_in_distribution_scores_and_noise_has(text_encoder_file: bytes) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from freerein.config import bounded, one_of
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
+from freerein_imitation.methods.language.network import Conditioning
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,9 @@ class LanguageConfig(DatasetFitConfig):
         text_features: Size of the text features.
         hidden_size: Units of the two hidden layers.
         max_steps_per_goal: Control steps after which a goal is abandoned; 0 for the longest trajectory's.
-        word_blind: Whether to ignore what goal texts say: the baseline of a policy that follows them.
+        conditioning: What the network gets of a goal text. `text`: what it says. `code`: the number of the training
+            text that is nearest to it, as in the primitive-code baseline of section 4.3. `none`: nothing, the baseline
+            of a policy that follows texts.
     """
 
     encoder: str = one_of(ENCODERS, "spatial")
@@ -29,4 +32,4 @@ class LanguageConfig(DatasetFitConfig):
     text_features: int = bounded(32, least=1, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
     max_steps_per_goal: int = bounded(0, least=0, most=1_000_000)
-    word_blind: bool = False
+    conditioning: Conditioning = "text"

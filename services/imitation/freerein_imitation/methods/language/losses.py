@@ -76,7 +76,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
         """
         encoder, distinct = TextEncoder(text_encoder), sorted(set(trajectories.goal_texts))
         reader = fit_goal_text_reader(encoder, seed=config.seed)
-        read = distinct[:1] * len(distinct) if config.word_blind else distinct
+        read = distinct[:1] * len(distinct) if config.conditioning == "none" else distinct
         codes = {text: reader.encode(each, encoder).numpy() for text, each in zip(distinct, read, strict=True)}
         dataset = GoalTextDataset(trajectories, codes)
         training, validation = split_by_text(dataset, fraction=config.validation_fraction, seed=config.seed)

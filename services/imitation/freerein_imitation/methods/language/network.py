@@ -5,6 +5,7 @@ uses the principal components of the training goal texts only: along other direc
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
@@ -17,6 +18,9 @@ from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextReader
 from freerein_imitation.model.torch_policy import PolicyNetwork
+
+Conditioning = Literal["text", "code", "none"]
+"""What a network gets of a goal text; see `LanguageConfig`."""
 
 MAX_COMPONENTS = 64
 MAX_KNOWN_TEXTS = 10_000
@@ -32,6 +36,7 @@ class LanguageSpec(InputSpec):
         text_size: Size of the text encoder's embeddings.
         text_components: Principal components of the training goal texts.
         known_texts: Training goal texts.
+        conditioning: As in `LanguageConfig`.
         encoder: Image encoder.
         features: Image features per camera.
         text_features: Size of the text features.
@@ -41,10 +46,16 @@ class LanguageSpec(InputSpec):
     text_size: int = bounded(384, least=1, most=4096)
     text_components: int = bounded(1, least=1, most=MAX_COMPONENTS)
     known_texts: int = bounded(1, least=1, most=MAX_KNOWN_TEXTS)
+    conditioning: Conditioning = "text"
     encoder: str = one_of(ENCODERS, "spatial")
     features: int = bounded(128, least=8, most=1024)
     text_features: int = bounded(32, least=1, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
+
+    @property
+    def condition_size(self) -> int:
+        """Size of what the network gets of a text."""
+        return self.known_texts if self.conditioning == "code" else self.text_components
 
 
 class LanguageNetwork(PolicyNetwork):
@@ -63,7 +74,7 @@ class LanguageNetwork(PolicyNetwork):
         super().__init__()
         self.spec = spec
         self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
-        self.text_layer = nn.Linear(spec.text_components, spec.text_features)
+        self.text_layer = nn.Linear(spec.condition_size, spec.text_features)
         self.film = nn.Linear(spec.text_features, 2 * self.encoder.size)
         self.hidden1 = nn.Linear(self.encoder.size, spec.hidden_size)
         self.hidden2 = nn.Linear(spec.hidden_size, spec.hidden_size)
@@ -108,16 +119,26 @@ class LanguageNetwork(PolicyNetwork):
         Returns:
             bool (B,).
         """
-        distance = torch.cdist(self._components(texts), self.known_texts).amin(dim=1)  # (B,)
+        distance = self._distances(texts).amin(dim=1)  # (B,)
         near: Tensor = distance <= self.known_texts.norm(dim=1).mean() / 2
         return near
+
+    def _condition(self, texts: Tensor) -> Tensor:
+        """Returns what the network gets of texts: float32 (B, condition_size)."""
+        if self.spec.conditioning != "code":
+            return self._components(texts)
+        nearest = self._distances(texts).argmin(dim=1)  # (B,)
+        return functional.one_hot(nearest, self.spec.known_texts).to(texts.dtype)
+
+    def _distances(self, texts: Tensor) -> Tensor:
+        return torch.cdist(self._components(texts), self.known_texts)  # (B, known_texts)
 
     def _components(self, texts: Tensor) -> Tensor:
         return (texts - self.text_mean) @ self.text_basis
 
     def act(self, features: Tensor, texts: Tensor) -> Tensor:
         """Returns actions as `forward` does, of frames with features float32 (B, D), from `encoder`."""
-        text = functional.relu(self.text_layer(self._components(texts)))  # (B, text_features)
+        text = functional.relu(self.text_layer(self._condition(texts)))  # (B, text_features)
         scale, shift = self.film(text).chunk(2, dim=1)  # (B, D) each
         modulated = features * (1 + scale) + shift  # (B, D)
         hidden = functional.relu(self.hidden2(functional.relu(self.hidden1(modulated))))  # (B, hidden_size)
