@@ -122,7 +122,7 @@ def _evaluate_and_practise() -> list[Step]:
             teachers=["ppo", *SHIPPED_TEACHERS],
             dagger_iterations=1,
             num_envs=50,
-            config={"steps": 800},
+            config={"steps": 800, "reached_weight": 0.0},
         ),
         _evaluate(
             "sentences",

@@ -9,6 +9,7 @@ import torch
 
 from experiments.robustness import (
     goal_texts,
+    language,
     policies,
     report,
     reward,
@@ -82,7 +83,7 @@ class RobustnessExperiment(Experiment):
             *(Arm(world, UNFAMILIAR, {}, seed) for world in (DEMONSTRATED, SCATTERED) for seed in range(self.seeds)),
             *(Arm(task, PPO) for task in tasks),
             *policies.arms(self.seeds),
-            *(Arm(policies.SIDES[0], policies.PPO_SPEED, seed=run) for run in range(policies.SPEED_RUNS)),
+            *(Arm(language.SIDES[0], policies.PPO_SPEED, seed=run) for run in range(policies.SPEED_RUNS)),
         )
 
     @property

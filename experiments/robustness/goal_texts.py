@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.robustness import forbidden_texts, open_wordings, policies
+from experiments.robustness import forbidden_texts, open_wordings
+from experiments.robustness.language import SIDES
 from experiments.robustness.reward import COLOURS, PHRASES
 from experiments.workbench.results import Outcome, Sample
 from freerein.goal_text import Grammar
@@ -78,7 +79,7 @@ def readers(grammar: Grammar) -> Mapping[str, Callable[[str], Reading]]:
     captions = [caption(first, relation, second) for first, second in pairs for relation in SpatialRelation]
     return {
         REWARD: lambda text: _read(grammar, text),
-        TWO_TASKS: _reader_of_policy([tasks()[task].goal_text for task in policies.SIDES]),
+        TWO_TASKS: _reader_of_policy([tasks()[task].goal_text for task in SIDES]),
         CAPTIONS: _reader_of_policy(captions),
     }
 

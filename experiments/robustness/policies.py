@@ -9,53 +9,29 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from experiments.robustness import confidence
+from experiments.robustness import language
+from experiments.robustness.evaluated import evaluate, flagged
+from experiments.robustness.language import SIDES
 from experiments.robustness.worlds import CURRICULUM, DEMONSTRATED, NOMINAL
 from experiments.workbench.arms import Arm
 from experiments.workbench.pipelines import Step, Trials, fit_step, step
 from experiments.workbench.results import Outcome, Sample
 
-FLAG_AUROC, FLAG_ECE, FLAG_RECALL = "flag.auroc", "flag.ece", "flag.recall"
 LANDMARKS_FREE, LANDMARKS_BLOCK = "landmarks.free", "landmarks.block"
 RECIPE_SKILLS, RECIPE_WHOLE = "recipe.skills", "recipe.whole"
 RECIPE_OF_NOMINAL = "recipe.of-nominal"
 """Skills that are completed under a condition, as a share of those that are completed nominally."""
 RETURN_ALL, RETURN_WRONG_ORDER = "return.all", "return.wrong-order"
-TOLD_OWN, WORDINGS = "told.own", "told.wordings"
 
 GOAL_CLONING, GOAL_CLONING_AUGMENTED, GOAL_CONDITIONED = "goal_cloning", "goal_cloning_augmented", "goal_conditioned"
 SKILLS, SKILLS_AUGMENTED, EXPERT = "skills", "skills_augmented", "expert"
 PPO, PPO_OWN_STARTS, PPO_PRACTICE = "ppo_training", "ppo_own_starts", "ppo_practice"
 PPO_AUGMENTED = "ppo_augmented"
-LANGUAGE, PPO_SPEED = "language", "ppo_speed"
+LANGUAGE, LANGUAGE_DONE, PPO_SPEED = "language", "language_done", "ppo_speed"
 
-SIDES = ("blocks.yellow-left-of-green", "blocks.yellow-right-of-green")
 STACK = "blocks.yellow-on-top-of-green"
 PPO_SEEDS, SPEED_RUNS = 5, 9
-TEACHERS = ("yellow-left-of-green", "yellow-right-of-green")
-"""Shipped policies, from which a language policy is distilled."""
-
-WORDINGS_OF_SIDES = tuple(
-    wording.format(side=side, other=other)
-    for side, other in (("left", "right"), ("right", "left"))
-    for wording in (
-        "I want the yellow block {side} of the green one",
-        "could you place the yellow cube to the {side} of the green cube?",
-        "Arrange the blocks so that yellow is {side} of green!",
-        "A green block to the {other} of a yellow block",
-        "slide the green one to the {other} of the yellow one",
-    )
-)
-"""Wordings and converses, of the left, then of the right; none is a goal text that a policy is trained on.
-
-The random texts that train the text reader have `yellow`, `green`, `block`, and the wordings of relations. Held out are
-verbs (`want`, `arrange`, `slide`), the sentences around a statement (`could you`, `so that`), and `cube`. The converse
-without a verb has nothing that is held out.
-"""
-
-_HELD_OUT_SEED = 1_000_003
 _LABEL_STEPS = 4000
 """Twice the default: with tags of two or three skills, a fit may confuse two of four for 1 500 steps."""
 
@@ -82,11 +58,7 @@ CONDITIONS = tuple(dict.fromkeys((NOMINAL, *SHIFTED, *SHIFTED_SCENES)))
 """All conditions under which policies act."""
 
 _LANDMARK_EPISODES, _RECIPES, _RETURN_EPISODES = 128, 100, 100
-_SENTENCE_EPISODES = 32
-_NUM_ENVS = 64
 _IN_ORDER = "start/in-order"
-_PRECISION = 0.9
-_STUDENT, _WORD_BLIND = "student", "word-blind"
 
 
 @dataclass(frozen=True)
@@ -181,7 +153,7 @@ def _landmarks(condition: str) -> Step:
 def _evaluate_fit(form: str, condition: str, *, episodes: int) -> Step:
     conditions = {} if condition == NOMINAL else {"conditions": [condition]}
     policy = {"model": "default"}
-    return _evaluate(
+    return evaluate(
         form, _step_name(form, condition), task=DEMONSTRATED, policy=policy, episodes=episodes, **conditions
     )
 
@@ -196,7 +168,7 @@ def under(condition: str, figure: str) -> str:
 
 
 def _expert_recipes(arm: Arm) -> list[Step]:
-    return [_evaluate("recipes", task=arm.world, policy="expert", episodes=_RECIPES)]
+    return [evaluate("recipes", task=arm.world, policy="expert", episodes=_RECIPES)]
 
 
 def _reinforce(arm: Arm) -> list[Step]:
@@ -211,38 +183,9 @@ def _returns(arm: Arm, condition: str) -> Step:
     """Returns the evaluation of the trained policy under a condition."""
     more = {} if condition == NOMINAL else {"conditions": [condition]}
     name, policy = _step_name("returns", condition), {"run": "ppo"}
-    return _evaluate(
+    return evaluate(
         "returns", name, task=arm.world, policy=policy, baseline="random", episodes=_RETURN_EPISODES, **more
     )
-
-
-def _obey(arm: Arm) -> list[Step]:
-    left, right = SIDES
-    told = {"task": left, "other_tasks": [right], "other_texts": list(WORDINGS_OF_SIDES)}
-    return [
-        *(
-            step(
-                name,
-                "distill",
-                teachers=list(TEACHERS),
-                rollouts=100,
-                dagger_iterations=3,
-                num_envs=50,
-                model_name=name,
-                seed=arm.seed,
-                config={"seed": arm.seed, "conditioning": "none" if name == _WORD_BLIND else "text"},
-            )
-            for name in (_STUDENT, _WORD_BLIND)
-        ),
-        *(
-            _evaluate("sentences", _told(name), policy={"run": name}, episodes=_SENTENCE_EPISODES, **told)
-            for name in (_STUDENT, _WORD_BLIND)
-        ),
-        *(
-            _evaluate("returns", teacher, task=task, policy={"stored": teacher}, episodes=_SENTENCE_EPISODES)
-            for task, teacher in zip(SIDES, TEACHERS, strict=True)
-        ),
-    ]
 
 
 def _landmark_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
@@ -260,27 +203,11 @@ def _by_condition(form: str, trials: Trials) -> Iterator[tuple[str, Sequence[Map
 
 def _followed(trials: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, Sample]]:
     measured = [trial for trial in trials if trial]
-    lengths = [len(trial["confidence"]) for trial in measured]
-    trial = np.repeat(np.arange(len(measured)), lengths)
-    score = np.concatenate([np.array(each["confidence"]) for each in measured])
-    at_landmark = np.concatenate([np.array(each["at_landmark"], np.bool_) for each in measured])
-    yield FLAG_AUROC, confidence.auroc(score, at_landmark, trial)
-    yield FLAG_ECE, confidence.calibration_error(score, at_landmark, trial)
-    yield FLAG_RECALL, _recall(score, at_landmark, trial)
+    yield from flagged(measured, "at_landmark")
     for name, counted in ((LANDMARKS_FREE, False), (LANDMARKS_BLOCK, True)):
         kept = [np.array(each["moves"], np.bool_) == counted for each in measured]
         recognized = [np.array(each["recognized"], np.bool_) for each in measured]
         yield name, Sample.of_flags([flags[keep] for flags, keep in zip(recognized, kept, strict=True)])
-
-
-def _recall(score: npt.NDArray[np.float64], right: npt.NDArray[np.bool_], trial: npt.NDArray[np.int64]) -> Sample:
-    """Returns the recall at the lowest threshold whose precision is high enough; the interval holds it fixed."""
-    order = np.argsort(-score, kind="stable")
-    last = np.append(np.diff(score[order]) < 0, True)  # equal scores are above a threshold together
-    precision = np.cumsum(right[order]) / np.arange(1, len(order) + 1)
-    enough = np.flatnonzero((precision >= _PRECISION) & last)
-    threshold = score[order][enough[-1]] if len(enough) else np.inf
-    return confidence.by_trial((score >= threshold) & right, right, trial)
 
 
 def _recipe_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
@@ -304,51 +231,6 @@ def _return_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
                 yield under(condition, name), earned
 
 
-def _sentence_samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
-    """Yields the student's return as a share of its teachers', and what was done told wordings, by trial.
-
-    Of each task also the return of the word-blind student, that of ours told the other task, and the difference.
-    """
-    student, word_blind = (trials[_told(name)] for name in (_STUDENT, _WORD_BLIND))
-    taught = [[each["episode_return"] for each in trials[name]] for name in TEACHERS]
-    own = [sum(each["returns"][task][task] for task in range(len(SIDES))) for each in student]
-    yield TOLD_OWN, Sample(own, [sum(each) for each in zip(*taught, strict=True)])
-    for task, name in enumerate(SIDES):
-        other = 1 - task
-        blind = [each["returns"][task][task] for each in word_blind]
-        misled = [each["returns"][task][other] for each in student]
-        losses = [one - another for one, another in zip(blind, misled, strict=True)]
-        named = {told_other(name): losses, word_blind_return(name): blind, told_other_return(name): misled}
-        yield from ((figure, Sample(each, [1] * len(each))) for figure, each in named.items())
-    count = len(WORDINGS_OF_SIDES)
-    meant = np.arange(count) >= count // 2  # the left task's, then the right one's
-    done = [np.array(each["successes"])[meant.astype(int), len(SIDES) + np.arange(count)] for each in student]
-    yield WORDINGS, Sample.of_flags(done)
-
-
-def told_other(task: str) -> str:
-    """Returns the name of a figure: the word-blind student's return in a task less that of ours, told the other."""
-    return f"told.other.{task}"
-
-
-def word_blind_return(task: str) -> str:
-    """Returns the name of a figure: the word-blind student's return in a task."""
-    return f"told.blind.{task}"
-
-
-def told_other_return(task: str) -> str:
-    """Returns the name of a figure: our student's return in a task, told the other."""
-    return f"told.misled.{task}"
-
-
-def _evaluate(form: str, name: str = "", **config: Any) -> Step:
-    return step(name or form, "evaluate", form=form, num_envs=_NUM_ENVS, seed=_HELD_OUT_SEED, **config)
-
-
-def _told(student: str) -> str:
-    return f"{student}-told"
-
-
 def _samples(found: Callable[[Trials], Iterator[tuple[str, Sample]]]) -> Callable[[Trials], Mapping[str, Sample]]:
     return lambda trials: dict(found(trials))
 
@@ -369,7 +251,8 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
         PPO_AUGMENTED: _REINFORCED,
         PPO_OWN_STARTS: _REINFORCED,
         PPO_PRACTICE: _REINFORCED,
-        LANGUAGE: PolicyArm(_obey, _samples(_sentence_samples)),
+        LANGUAGE: PolicyArm(language.obey, _samples(language.sentence_samples)),
+        LANGUAGE_DONE: PolicyArm(language.say_when_done, _samples(language.done_samples)),
     }
 )
 """How arms are made, by method."""
@@ -377,7 +260,7 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
 
 def arms(seeds: int) -> tuple[Arm, ...]:
     """Returns the arms, each with so many seeds; those of PPO with more, and the expert with one."""
-    fitted = (GOAL_CLONING, GOAL_CLONING_AUGMENTED, GOAL_CONDITIONED, SKILLS, SKILLS_AUGMENTED, LANGUAGE)
+    fitted = (GOAL_CLONING, GOAL_CLONING_AUGMENTED, GOAL_CONDITIONED, SKILLS, SKILLS_AUGMENTED, LANGUAGE, LANGUAGE_DONE)
     return (
         Arm(DEMONSTRATED, EXPERT),
         *(Arm(DEMONSTRATED, method, seed=seed) for seed in range(seeds) for method in fitted),

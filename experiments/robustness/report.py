@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 
-from experiments.robustness import policies, scenes, speed, visited_states, wordings
+from experiments.robustness import evaluated, policies, scenes, speed, visited_states, wordings
 from experiments.robustness.heat_map import heat_map
 from experiments.robustness.made_claims import Made, make_claims, processor_of, samples_of
 from experiments.robustness.targets import BASELINE, OURS
@@ -190,7 +190,7 @@ def _policies_section(results: Sequence[ArmResult]) -> Section:
     """Policies that were fitted to augmented frames, under every condition in which they acted."""
     figures = {
         policies.SKILLS_AUGMENTED: (policies.RECIPE_SKILLS, policies.RECIPE_WHOLE),
-        policies.GOAL_CLONING_AUGMENTED: (policies.LANDMARKS_FREE, policies.LANDMARKS_BLOCK, policies.FLAG_AUROC),
+        policies.GOAL_CLONING_AUGMENTED: (policies.LANDMARKS_FREE, policies.LANDMARKS_BLOCK, evaluated.FLAG_AUROC),
         policies.PPO_AUGMENTED: (policies.RETURN_ALL, policies.RETURN_WRONG_ORDER),
     }
     rows = []

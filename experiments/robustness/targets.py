@@ -6,7 +6,9 @@ from typing import Any
 
 from experiments.robustness import (
     confidence,
+    evaluated,
     goal_texts,
+    language,
     open_wordings,
     policies,
     scenes,
@@ -162,7 +164,7 @@ def _augmented() -> Iterator[Target]:
     yield Target("recipe_light", f"the same, {shifted}: % of the nominal", samples=ratios, least=75, **skills)
     follower: dict[str, Any] = {"worlds": worlds, "method": policies.GOAL_CLONING_AUGMENTED}
     for claim, text, sample, nominal, least in (
-        ("flag", "goal-reached flag, fit with augmented frames: AUROC", policies.FLAG_AUROC, "flag_auroc", 0.93),
+        ("flag", "goal-reached flag, fit with augmented frames: AUROC", evaluated.FLAG_AUROC, "flag_auroc", 0.93),
         ("landmarks", "landmarks there, no block must move", policies.LANDMARKS_FREE, "landmarks_free", 0.85),
     ):
         yield Target(f"{nominal}_augmented", text, samples=(sample,), baseline=policies.GOAL_CLONING, **follower)
@@ -178,7 +180,7 @@ def _reinforced(claim: str, text: str, least: float, worlds: tuple[str, ...], sa
 def _reinforced_augmented() -> Iterator[Target]:
     """Yields the claims of PPO whose eye is fitted to augmented frames: nominally, and in other scenes."""
     shown = "PPO, eye fitted to augmented frames, % of the expert"
-    for name, text, worlds in (("sides", "left and right", policies.SIDES), ("stack", "stack", (policies.STACK,))):
+    for name, text, worlds in (("sides", "left and right", language.SIDES), ("stack", "stack", (policies.STACK,))):
         for claim, condition, least in (
             ("augmented", NOMINAL, None),
             ("four_blocks", "blocks-4", 70),
@@ -198,11 +200,16 @@ def _reinforced_augmented() -> Iterator[Target]:
 
 
 def _speed(claim: str, text: str, sample: str, *, least: float | None = None, **more: Any) -> Target:
-    return Target(claim, text, policies.SIDES[:1], (sample,), least, method=policies.PPO_SPEED, of_runs=True, **more)
+    return Target(claim, text, language.SIDES[:1], (sample,), least, method=policies.PPO_SPEED, of_runs=True, **more)
 
 
 def _told(claim: str, text: str, *samples: str, least: float | None = None, **more: Any) -> Target:
     return Target(claim, text, (DEMONSTRATED,), samples, least, method=policies.LANGUAGE, **more)
+
+
+def _done(claim: str, text: str, sample: str, **more: Any) -> Target:
+    about = f"language policy that says when its goal is reached: {text}"
+    return Target(claim, about, (DEMONSTRATED,), (sample,), method=policies.LANGUAGE_DONE, **more)
 
 
 def _texts(claim: str, text: str, *samples: str, **more: Any) -> Target:
@@ -300,9 +307,9 @@ TARGETS = (
     *_confidence("seg", "segmentation", DEMONSTRATED),
     *_confidence("reward", "reward", SCATTERED),
     *_distracted(),
-    _followed("flag_auroc", "goal-reached flag on visited states: AUROC", policies.FLAG_AUROC, least=0.95),
-    _followed("flag_ece", "goal-reached flag there: ECE", policies.FLAG_ECE, most=0.05),
-    _followed("flag_recall", "goal-reached flag there: recall at precision 0.9", policies.FLAG_RECALL, least=0.7),
+    _followed("flag_auroc", "goal-reached flag on visited states: AUROC", evaluated.FLAG_AUROC, least=0.95),
+    _followed("flag_ece", "goal-reached flag there: ECE", evaluated.FLAG_ECE, most=0.05),
+    _followed("flag_recall", "goal-reached flag there: recall at precision 0.9", evaluated.FLAG_RECALL, least=0.7),
     _followed(
         "landmarks_free",
         "landmarks 6 steps apart, reached when left: no block must move",
@@ -313,9 +320,9 @@ TARGETS = (
     _executed("recipe_skills", "recipes of four skills, skills completed, %", 80, policies.RECIPE_SKILLS),
     _executed("recipe_whole", "whole recipes, %", 45, policies.RECIPE_WHOLE),
     *_augmented(),
-    _reinforced("ppo_all", "left and right, all starts", 65, policies.SIDES, policies.RETURN_ALL),
+    _reinforced("ppo_all", "left and right, all starts", 65, language.SIDES, policies.RETURN_ALL),
     replace(
-        _reinforced("ppo_wrong_order", "starts in the wrong order", 45, policies.SIDES, policies.RETURN_WRONG_ORDER),
+        _reinforced("ppo_wrong_order", "starts in the wrong order", 45, language.SIDES, policies.RETURN_WRONG_ORDER),
         low_above=_PUSHER,
     ),
     _reinforced("ppo_stack", "stack", 40, (policies.STACK,), policies.RETURN_ALL),
@@ -334,15 +341,15 @@ TARGETS = (
             (policies.PPO_PRACTICE, "as the task does, and some where others were on their way to a reward"),
         )
         for name, text, worlds, sample in (
-            ("all", "left and right, all starts", policies.SIDES, policies.RETURN_ALL),
-            ("wrong_order", "starts in the wrong order", policies.SIDES, policies.RETURN_WRONG_ORDER),
+            ("all", "left and right, all starts", language.SIDES, policies.RETURN_ALL),
+            ("wrong_order", "starts in the wrong order", language.SIDES, policies.RETURN_WRONG_ORDER),
             ("stack", "stack", (policies.STACK,), policies.RETURN_ALL),
         )
     ),
     _told(
         "language_told",
         "language policy told its task, % of its teachers",
-        policies.TOLD_OWN,
+        language.TOLD_OWN,
         least=90,
         unit=_PER_CENT,
         also=("language_other",),
@@ -350,20 +357,25 @@ TARGETS = (
     _told(
         "language_other",
         "what the word-blind policy earns in a task more than ours told the other task",
-        *map(policies.told_other, policies.SIDES),
+        *map(language.told_other, language.SIDES),
         least=0,
         low_above=0,
-        apart=tuple((policies.word_blind_return(task), policies.told_other_return(task)) for task in policies.SIDES),
+        apart=tuple((language.word_blind_return(task), language.told_other_return(task)) for task in language.SIDES),
     ),
-    _told("language_blind", "the word-blind policy's return", *map(policies.word_blind_return, policies.SIDES)),
-    _told("language_misled", "ours, told the other task", *map(policies.told_other_return, policies.SIDES)),
+    _told("language_blind", "the word-blind policy's return", *map(language.word_blind_return, language.SIDES)),
+    _told("language_misled", "ours, told the other task", *map(language.told_other_return, language.SIDES)),
     _told(
         "language_wordings",
         "episodes that end as told, wordings and converses that no teacher has, %",
-        policies.WORDINGS,
+        language.WORDINGS,
         least=90,
         unit=_PER_CENT,
     ),
+    _done(
+        "language_done", "AUROC on states that it visits", evaluated.FLAG_AUROC, least=0.95, also=("language_done_ece",)
+    ),
+    _done("language_done_ece", "ECE there", evaluated.FLAG_ECE, most=0.05),
+    _done("language_done_told", "told its task, % of its teachers", language.TOLD_OWN, unit=_PER_CENT),
     _speed(
         "ppo_speed",
         "PPO on the learned reward over the network, simulated control ticks per second",

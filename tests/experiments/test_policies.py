@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments.robustness import policies
+from experiments.robustness import evaluated, language, policies
 from experiments.robustness.targets import Target
 from experiments.workbench.arms import Arm
 from experiments.workbench.pipelines import run_pipeline
@@ -37,15 +37,15 @@ def test_a_flag_is_judged_on_all_visited_states() -> None:
     found = policies.METHODS[policies.GOAL_CLONING].samples({"landmarks": trials})
 
     scores, rights = np.concatenate(score), np.concatenate(right)
-    assert found[policies.FLAG_AUROC].mean == pytest.approx(metrics.auroc(scores, rights), abs=1e-6)
+    assert found[evaluated.FLAG_AUROC].mean == pytest.approx(metrics.auroc(scores, rights), abs=1e-6)
     ece = metrics.expected_calibration_error(scores, rights, bins=15)
-    assert found[policies.FLAG_ECE].mean == pytest.approx(ece, abs=1e-6)
+    assert found[evaluated.FLAG_ECE].mean == pytest.approx(ece, abs=1e-6)
     recalls = [
         rights[scores >= threshold].sum() / rights.sum()
         for threshold in np.unique(scores)
         if rights[scores >= threshold].mean() >= 0.9
     ]
-    assert found[policies.FLAG_RECALL].mean == pytest.approx(max(recalls))
+    assert found[evaluated.FLAG_RECALL].mean == pytest.approx(max(recalls))
     assert found[policies.LANDMARKS_FREE].mean == 1
     assert found[policies.LANDMARKS_BLOCK].mean == pytest.approx(np.mean([each[0] for each in right]))
 
@@ -53,7 +53,7 @@ def test_a_flag_is_judged_on_all_visited_states() -> None:
 def test_a_flag_that_is_never_precise_enough_has_no_recall() -> None:
     trial = {"confidence": [0.9, 0.1], "at_landmark": [False, True], "moves": [False], "recognized": [False]}
     found = policies.METHODS[policies.GOAL_CLONING].samples({"landmarks": [trial]})
-    assert found[policies.FLAG_RECALL].mean == 0
+    assert found[evaluated.FLAG_RECALL].mean == 0
 
 
 def test_a_recipe_is_whole_when_every_skill_is_completed() -> None:
@@ -85,13 +85,13 @@ def test_returns_are_shares_of_the_experts_by_the_order_of_the_start() -> None:
 
 
 def test_a_language_policy_is_judged_by_its_teachers_the_other_text_and_what_it_does_told_wordings() -> None:
-    count = len(policies.WORDINGS_OF_SIDES)
+    count = len(language.WORDINGS_OF_SIDES)
     left = [1.0] * (count // 2) + [0.0] * (count // 2)
     right = [0.0] * (count // 2) + [1.0] * (count // 2)
     right[-1] = 0.0
     told = {"returns": [[60.0, 5.0], [0.0, 30.0]], "successes": [[True, False, *left], [False, True, *right]]}
     blind = {"returns": [[20.0, 20.0], [25.0, 25.0]], "successes": []}
-    left_teacher, right_teacher = policies.TEACHERS
+    left_teacher, right_teacher = language.TEACHERS
     trials = {
         "student-told": [told],
         "word-blind-told": [blind],
@@ -99,9 +99,18 @@ def test_a_language_policy_is_judged_by_its_teachers_the_other_text_and_what_it_
         right_teacher: [{"episode_return": 40.0}],
     }
     found = policies.METHODS[policies.LANGUAGE].samples(trials)
-    assert found[policies.TOLD_OWN].mean == 90 / 120
-    assert [found[policies.told_other(task)].mean for task in policies.SIDES] == [15.0, 25.0]
-    assert found[policies.WORDINGS].mean == (count - 1) / count
+    assert found[language.TOLD_OWN].mean == 90 / 120
+    assert [found[language.told_other(task)].mean for task in policies.SIDES] == [15.0, 25.0]
+    assert found[language.WORDINGS].mean == (count - 1) / count
+
+
+def test_a_policy_that_says_when_it_is_done_is_judged_in_every_frame_before_that() -> None:
+    episode = {"returns": [[60.0, 5.0], [0.0, 30.0]], "confidence": [0.1, 0.9, 0.2], "holds": [False, True, False]}
+    taught = {name: [{"episode_return": 45.0}] for name in language.TEACHERS}
+    found = policies.METHODS[policies.LANGUAGE_DONE].samples({"student-told": [episode], **taught})
+    assert found[language.TOLD_OWN].mean == 1
+    assert found[evaluated.FLAG_AUROC].mean == 1
+    assert found[evaluated.FLAG_ECE].mean == pytest.approx(0.4 / 3)
 
 
 def test_a_claim_that_must_be_apart_needs_its_interval_to_be() -> None:
@@ -131,4 +140,4 @@ def test_a_pipeline_runs_on_services_of_its_own(tmp_path: Path) -> None:
 
 def test_every_wording_that_a_language_policy_is_told_is_one_that_it_acts_on() -> None:
     known = KnownTexts([f"a yellow block to the {side} of a green block" for side in ("left", "right")])
-    assert all(known.read(wording).caption for wording in policies.WORDINGS_OF_SIDES)
+    assert all(known.read(wording).caption for wording in language.WORDINGS_OF_SIDES)

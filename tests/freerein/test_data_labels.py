@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from freerein.data import DatasetSpec, create, labels, truth
+from freerein.data import DatasetSpec, create, labels, reached, truth
 from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
@@ -96,3 +96,15 @@ def test_the_fingerprint_tells_labels_apart() -> None:
     some = [np.array([0, 1]), np.array([1])]
     assert labels.fingerprint(some) == labels.fingerprint([each.copy() for each in some])
     assert labels.fingerprint(some) != labels.fingerprint([np.array([0]), np.array([1, 1])])
+
+
+def test_what_a_reward_model_judges_comes_back_whole_or_not_at_all(root: Path) -> None:
+    assert reached.read(root, LENGTHS) == ()
+    flags = [np.array([False, False, True, True]), np.array([True, False, False, False])]
+    reached.save(root, 0, flags[0])
+    with pytest.raises(InvalidInput, match="labels of trajectory 1"):
+        reached.read(root, LENGTHS)
+    reached.save(root, 1, flags[1])
+    assert [each.tolist() for each in reached.read(root, LENGTHS)] == [each.tolist() for each in flags]
+    with pytest.raises(InvalidInput, match="each of the 5 frames of trajectory 1"):
+        reached.read(root, np.array([4, 5]))

@@ -16,10 +16,12 @@ from freerein.learning.fit import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods.language.config import LanguageConfig
+from freerein_imitation.methods.language.contradictions import contradictions
 from freerein_imitation.methods.language.goal_text_dataset import GoalTextDataset, random_shift, split_by_text
 from freerein_imitation.methods.language.losses import LanguageLearner
 from freerein_imitation.methods.language.network import Conditioning
 from freerein_imitation.methods.language.policy import LanguagePolicy
+from freerein_imitation.methods.language.recognizer import least_probability
 from freerein_imitation.methods.language.texts import reader_fit as goal_text_reader
 from freerein_imitation.methods.language.texts.text_encoder import TextEncoder
 from freerein_imitation.model.policy import NEVER_REACHED, ControlSpec
@@ -162,7 +164,7 @@ def numbered(lengths: Sequence[int], texts: Sequence[str]) -> GoalTextDataset:
     frames = [np.broadcast_to(each[:, None, None, None], (len(each), 4, 4, 1)).astype(np.uint8) for each in numbers]
     actions = [each[:, None].astype(np.float32) for each in numbers]
     codes = {text: np.array([place], np.float32) for place, text in enumerate(sorted(set(texts)))}
-    return GoalTextDataset(Trajectories({"front": frames}, actions, goal_texts=texts), codes)
+    return GoalTextDataset.of(Trajectories({"front": frames}, actions, goal_texts=texts), codes)
 
 
 def test_a_batch_has_frame_text_and_action_of_each_timestep() -> None:
@@ -196,3 +198,54 @@ def test_shifted_frames_hold_the_same_pixels_at_the_same_distances_and_repeat_th
         offset = places[:, length // 2] - length // 2
         assert sorted(offset.unique().tolist()) == list(range(-reach, reach + 1))
         assert torch.equal(places, (torch.arange(length) + offset[:, None]).clamp(0, length - 1))
+
+
+SIDES = ("a red block to the left of a green block", "a red block to the right of a green block")
+
+
+def reach(count: int, *, seed: int = 0) -> Trajectories:
+    """As `roll_out`, of texts that contradict each other; the goal is the half of the frame that the text names."""
+    rolled = roll_out(count, texts=SIDES, seed=seed)
+    columns = [each.max(axis=(1, 3)).argmax(axis=1) for each in rolled.frames["front"]]  # (T,) each
+    reached = [(each < 6) if item % 2 == 0 else (each >= 6) for item, each in enumerate(columns)]
+    return replace(rolled, reached=reached)
+
+
+def test_a_policy_says_whether_a_frame_shows_what_the_text_says_and_not_what_another_says(
+    text_encoder_file: bytes, tmp_path: Path
+) -> None:
+    config = replace(FAST, steps=150, reached_weight=1.0)
+    learner = LanguageLearner.prepare(
+        config, reach(24), text_encoder_file, cameras=CAMERAS, action=ACTION, fingerprint="f", device=CPU
+    )
+    fitted = fit(learner, tmp_path)
+    assert fitted is not None
+    control = ControlSpec(0.1, 0.5, 8)
+    policy = LanguagePolicy(fitted.network, TextEncoder(text_encoder_file), control, training_texts=SIDES)
+    assert policy.spec.predicts_reached
+
+    frames, nothing = (
+        np.zeros((12, 12, 12, 3), np.uint8),
+        (np.zeros((12, 2), np.float32), np.zeros((12, 0), np.float32)),
+    )
+    frames[np.arange(12), :, np.arange(12)] = 200
+    for text, is_there in zip(SIDES, (np.arange(12) < 6, np.arange(12) >= 6), strict=True):
+        said = policy.step({"front": frames}, policy.encode_goals([text] * 12), *nothing).reached
+        assert ((said > 0.5) == is_there).mean() > 0.9
+    logits, _ = learner.held_out_reached(fitted.network)
+    assert len(logits) > len(learner.validation)  # frames that show a goal are told the contrary, too
+    probabilities, reached = torch.tensor([0.9, 0.75, 0.7, 0.7, 0.6]), torch.tensor([True, True, True, False, True])
+    assert least_probability(probabilities, reached) == 0.75
+    assert least_probability(torch.tensor([0.9, 0.4]), torch.tensor([False, True])) == 1.0
+
+
+def test_texts_contradict_each_other_where_they_state_other_relations_of_the_same_two_things() -> None:
+    left, right = SIDES
+    turned, other = "a green block to the right of a red block", "a blue block on top of a green block"
+    assert contradictions([left, right, turned, other, "stack everything"]) == {
+        left: (right,),
+        right: (left, turned),
+        turned: (right,),
+        other: (),
+        "stack everything": (),
+    }

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from freerein.clients import Channel, RewardClient, SyncClient
-from freerein.data import Dataset, dataset_path
+from freerein.data import Dataset, dataset_path, reached
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.actor_critic.policy_files import save_policy
@@ -243,6 +243,9 @@ def test_only_rollouts_in_whose_last_frame_the_reward_model_sees_the_goal_are_ke
         rewards = reward.reward(RewardRequest(goal_text, {"front": last})).rewards
     rewarded = [trajectory for trajectory, each in zip(recorded["all"], rewards, strict=True) if each > 0]
     assert 0 < len(rewarded) < 4
+    lengths = np.array([len(trajectory.actions) for trajectory in recorded["all"]])
+    judged = reached.read(dataset_path(data_dir, "all"), lengths)  # what the student learns to say
+    assert [each[-1] for each in judged] == (rewards > 0).tolist()
     for ours, theirs in zip(recorded["rewarded"], rewarded, strict=True):
         np.testing.assert_array_equal(ours.actions, theirs.actions)
 

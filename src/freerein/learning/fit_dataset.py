@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from freerein.data import reached
 from freerein.data.layout import dataset_path
 from freerein.data.lookup import open_dataset
 from freerein.data.reader import Dataset
@@ -54,6 +55,7 @@ class FitDataset:
             actions=self.dataset.cached_actions(),
             skills=self.dataset.skills if any(self.dataset.skills) else (),
             goal_texts=self.dataset.goal_texts if any(self.dataset.goal_texts) else (),
+            reached=reached.read(self.root, self.dataset.lengths),
         )
 
     def _check_lengths(self) -> None:

@@ -34,6 +34,7 @@ class Trajectories:
         actions: By trajectory, float32 (T, A) in [-1, 1] or int64 (T, 1).
         skills: The set of skills of each trajectory; empty where unknown.
         goal_texts: Goal text of each trajectory; empty where unknown.
+        reached: By trajectory, bool (T,), which frames show its goal, as a reward model judges; empty where unknown.
 
     Raises:
         InvalidInput: There are no trajectories, one is empty, or arrays differ in their lengths.
@@ -43,10 +44,11 @@ class Trajectories:
     actions: TrajectoryArrays[np.float32] | TrajectoryArrays[np.int64]
     skills: Sequence[tuple[str, ...]] = ()
     goal_texts: Sequence[str] = ()
+    reached: Sequence[npt.NDArray[np.bool_]] = ()
 
     def __post_init__(self) -> None:
         arrays = [*self.frames.values(), self.actions]
-        counts = {len(each) for each in (*arrays, *filter(None, (self.skills, self.goal_texts)))}
+        counts = {len(each) for each in (*arrays, *filter(None, (self.skills, self.goal_texts, self.reached)))}
         if len(counts) != 1 or 0 in counts or not self.frames:
             raise InvalidInput(
                 f"Frames, actions and tags must be of the same trajectories, 1 or more; got {sorted(counts)}."
@@ -78,6 +80,7 @@ class Trajectories:
             "actions": [self.actions[item] for item in items],
             "skills": [self.skills[item] for item in items] if self.skills else (),
             "goal_texts": [self.goal_texts[item] for item in items] if self.goal_texts else (),
+            "reached": [self.reached[item] for item in items] if self.reached else (),
         }
         frames = {camera: [each[item] for item in items] for camera, each in self.frames.items()}
         return replace(self, frames=frames, **chosen)

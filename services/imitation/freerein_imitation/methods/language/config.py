@@ -19,6 +19,8 @@ class LanguageConfig(DatasetFitConfig):
         text_features: Size of the text features.
         hidden_size: Units of the two hidden layers.
         max_steps_per_goal: Control steps after which a goal is abandoned; 0 for the longest trajectory's.
+        reached_weight: Weight of the loss of what it says of reaching the goal, learned where a reward model has judged
+            the frames; 0 to say nothing.
         conditioning: What the network gets of a goal text. `text`: what it says. `code`: the number of the training
             text that is nearest to it, as in the primitive-code baseline of section 4.3. `none`: nothing, the baseline
             of a policy that follows texts.
@@ -32,4 +34,5 @@ class LanguageConfig(DatasetFitConfig):
     text_features: int = bounded(32, least=1, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
     max_steps_per_goal: int = bounded(0, least=0, most=1_000_000)
+    reached_weight: float = bounded(0.3, least=0.0, most=100.0)
     conditioning: Conditioning = "text"

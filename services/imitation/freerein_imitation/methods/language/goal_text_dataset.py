@@ -1,7 +1,7 @@
 """Training data of a language policy: trajectories with goal texts."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +15,7 @@ from freerein.learning.augmentation import shift
 from freerein.learning.encoders import FrameTensors
 from freerein.learning.split import train_validation_split
 from freerein.learning.trajectories import Trajectories
+from freerein_imitation.methods.language.contradictions import contradictions
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +26,28 @@ class TimestepBatch:
         frames: By camera, uint8 (B, H, W, C).
         texts: Codes of the goal texts, float32 (B, code size).
         actions: float32 (B, A) or int64 (B, 1).
+        judged: What a reward model says of the frames; None where it was not asked.
     """
 
     frames: FrameTensors
     texts: Tensor
     actions: Tensor
+    judged: "Judged | None"
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What is known of B frames and texts.
+
+    Attributes:
+        reached: Whether the frames show the goal, bool (B,).
+        rivals: Codes of texts that contradict the goal texts, float32 (B, code size).
+        is_rivalled: Where there is such a text, bool (B,); elsewhere the rival is the goal text itself.
+    """
+
+    reached: Tensor
+    rivals: Tensor
+    is_rivalled: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +57,17 @@ class GoalTextDataset:
     Attributes:
         trajectories: Trajectories with goal texts.
         codes: Code of each distinct goal text, float32 (code size,).
+        rivals: The other texts that contradict each distinct goal text.
     """
 
     trajectories: Trajectories
     codes: dict[str, npt.NDArray[np.float32]]
+    rivals: Mapping[str, Sequence[str]]
+
+    @classmethod
+    def of(cls, trajectories: Trajectories, codes: dict[str, npt.NDArray[np.float32]]) -> "GoalTextDataset":
+        """Returns the dataset of trajectories and the codes of their texts."""
+        return cls(trajectories, codes, contradictions(list(codes)))
 
     def __len__(self) -> int:
         """Returns the timesteps of all trajectories together."""
@@ -54,7 +79,7 @@ class GoalTextDataset:
 
     def subset(self, items: Sequence[int]) -> "GoalTextDataset":
         """Returns some of the trajectories, without copying frames."""
-        return GoalTextDataset(self.trajectories.subset(items), self.codes)
+        return replace(self, trajectories=self.trajectories.subset(items))
 
     def distinct_codes(self) -> Tensor:
         """Returns the codes of the distinct goal texts, float32 (n, code size)."""
@@ -67,7 +92,21 @@ class GoalTextDataset:
         goal_texts = self.trajectories.goal_texts
         frames = self.trajectories.frames_at([(item, np.array([t])) for item, t in places], device)
         texts = _stack([self.codes[goal_texts[item]] for item, _ in places], device)
-        return TimestepBatch(frames, texts, _stack([self.trajectories.actions[item][t] for item, t in places], device))
+        actions = _stack([self.trajectories.actions[item][t] for item, t in places], device)
+        return TimestepBatch(frames, texts, actions, self._judged(places, device))
+
+    def _judged(self, places: Sequence[tuple[int, int]], device: torch.device) -> Judged | None:
+        """Returns what is known of the frames at timesteps of trajectories; a timestep has the same rival each time."""
+        if not self.trajectories.reached:
+            return None
+        reached = [self.trajectories.reached[item][t] for item, t in places]
+        texts = [self.trajectories.goal_texts[item] for item, _ in places]
+        among = [self.rivals[text] for text in texts]
+        chosen = [
+            each[t % len(each)] if each else text for text, each, (_, t) in zip(texts, among, places, strict=True)
+        ]
+        rivals = _stack([self.codes[text] for text in chosen], device)
+        return Judged(_stack(reached, device), rivals, _stack([np.bool_(len(each) > 0) for each in among], device))
 
 
 def split_by_text(dataset: GoalTextDataset, *, fraction: float, seed: int) -> tuple[GoalTextDataset, GoalTextDataset]:
@@ -108,5 +147,5 @@ def random_shift(frames: Tensor, *, most: float, generator: torch.Generator) -> 
     return shift(frames, torch.cat(drawn, dim=1).to(frames.device))
 
 
-def _stack(arrays: Sequence[npt.NDArray[Any]], device: torch.device) -> Tensor:
+def _stack(arrays: Sequence[npt.NDArray[Any] | np.bool_], device: torch.device) -> Tensor:
     return torch.from_numpy(np.stack(arrays)).to(device)

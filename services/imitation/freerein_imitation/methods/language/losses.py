@@ -2,10 +2,12 @@
 
 import hashlib
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -31,13 +33,14 @@ from freerein_imitation.methods.language.texts.reader_fit import fit_goal_text_r
 from freerein_imitation.methods.language.texts.text_encoder import TextEncoder
 from freerein_imitation.methods.shared import action_bins
 from freerein_imitation.methods.shared.frame_features import trajectory_statistics
-from freerein_imitation.methods.shared.losses import action_cross_entropy, squared_error
+from freerein_imitation.methods.shared.losses import action_cross_entropy, squared_error, termination_loss
 
 State = TrainState[LanguageNetwork]
 
 _NORMALISATION_FRAMES = 2000
 _EVALUATION_TIMESTEPS = 1024
 _EVALUATION_BATCH = 128
+_CALIBRATION_TIMESTEPS = 8192
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +81,23 @@ class LanguageLearner(Learner[LanguageNetwork]):
         reader = fit_goal_text_reader(encoder, seed=config.seed)
         read = distinct[:1] * len(distinct) if config.conditioning == "none" else distinct
         codes = {text: reader.encode(each, encoder).numpy() for text, each in zip(distinct, read, strict=True)}
-        dataset = GoalTextDataset(trajectories, codes)
+        dataset = GoalTextDataset.of(trajectories, codes)
         training, validation = split_by_text(dataset, fraction=config.validation_fraction, seed=config.seed)
         known = training.distinct_codes()
         texts = {"text_components": principal_components(known).shape[1], "known_texts": len(known)}
-        spec = spec_of(config, LanguageSpec, cameras=cameras, action=action, text_size=encoder.size, **texts)
+        predicts_reached = bool(trajectories.reached) and config.reached_weight > 0
+        spec = spec_of(
+            config,
+            LanguageSpec,
+            cameras=cameras,
+            action=action,
+            text_size=encoder.size,
+            predicts_reached=predicts_reached,
+            **texts,
+        )
         fingerprint = f"{fingerprint} {hashlib.sha256(text_encoder).hexdigest()}"
+        if predicts_reached:
+            fingerprint += f" {_sha256(trajectories.reached)}"
         return cls(config, spec, training, validation, text_encoder, reader, fingerprint, device)
 
     @property
@@ -101,22 +115,52 @@ class LanguageLearner(Learner[LanguageNetwork]):
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
     def loss(self, state: State, items: Items) -> Losses:
-        """Returns the action loss of some timesteps."""
+        """Returns the action loss of some timesteps, and that of what is said of reaching the goal."""
         batch = self.training.collate(items, device=self.device)
         batch = replace(batch, frames=self._shifted(batch.frames, state.generator))
-        return {"train_loss": action_loss(state.network, batch).mean()}
+        features = state.network.encoder(batch.frames)
+        modulated = state.network.modulate(features, batch.texts)
+        action = action_loss(state.network, modulated, batch.actions).mean()
+        if state.network.recognizer is None:
+            return {"train_loss": action}
+        reached = reached_loss(state.network, features, modulated, batch)
+        return {"train_loss": action + self.config.reached_weight * reached, "reached_loss": reached}
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:
         """Returns the mean action loss over validation timesteps, the same ones each time."""
+        network = state.network
+        losses = [
+            action_loss(network, network.modulate(network.encoder(batch.frames), batch.texts), batch.actions)
+            for batch in self._held_out(_EVALUATION_TIMESTEPS)
+        ]
+        return torch.cat(losses).mean().item()
+
+    def _held_out(self, most: int) -> Iterator[TimestepBatch]:
+        """Yields validation timesteps, spaced evenly, the same ones each time."""
         count = len(self.validation)
-        timesteps = np.arange(0, count, math.ceil(count / _EVALUATION_TIMESTEPS))
-        parts = np.split(timesteps, range(_EVALUATION_BATCH, len(timesteps), _EVALUATION_BATCH))
-        batches = (self.validation.collate(part, device=self.device) for part in parts)
-        return torch.cat([action_loss(state.network, batch) for batch in batches]).mean().item()
+        timesteps = np.arange(0, count, math.ceil(count / most))
+        for part in np.split(timesteps, range(_EVALUATION_BATCH, len(timesteps), _EVALUATION_BATCH)):
+            yield self.validation.collate(part, device=self.device)
+
+    @torch.no_grad()
+    def held_out_reached(self, network: LanguageNetwork) -> tuple[Tensor, Tensor]:
+        """Returns logits of held-out frames, float32 (N,), and whether they show the text's goal, bool (N,)."""
+        parts = [
+            reached_logits(network, features, network.modulate(features, batch.texts), batch)
+            for batch in self._held_out(_CALIBRATION_TIMESTEPS)
+            for features in [network.encoder(batch.frames)]
+        ]
+        logits, shown, known = (torch.cat(each) for each in zip(*parts, strict=True))
+        return logits[known], shown[known]
 
     def calibrate(self, network: LanguageNetwork) -> None:
-        """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones."""
+        """Fits the network's in-distribution score, to training frames as they were seen and to held-out ones.
+
+        What it says of reaching the goal is calibrated on held-out ones, too.
+        """
+        if network.recognizer is not None:
+            network.recognizer.calibrate(*self.held_out_reached(network))
         generator = torch.Generator().manual_seed(self.config.seed)
         shifted = self._shifted(self.training.trajectories.sample_frames(KNOWN_FRAMES), generator)
         held_out = trajectory_statistics(self.validation.trajectories).to(self.device)
@@ -135,9 +179,44 @@ class LanguageLearner(Learner[LanguageNetwork]):
         return {camera: shift(each) for camera, each in frames.items()}
 
 
-def action_loss(network: LanguageNetwork, batch: TimestepBatch) -> Tensor:
+def action_loss(network: LanguageNetwork, modulated: Tensor, actions: Tensor) -> Tensor:
     """Returns the action loss of each timestep, float (B,): squared error, or cross-entropy of discrete actions."""
-    predicted, choices = network(batch.frames, batch.texts), network.spec.action.choices
+    predicted, choices = network.act_on(modulated), network.spec.action.choices
     if choices:
-        return action_cross_entropy(predicted, action_bins.encode(batch.actions, choices=choices))
-    return squared_error(predicted, batch.actions)
+        return action_cross_entropy(predicted, action_bins.encode(actions, choices=choices))
+    return squared_error(predicted, actions)
+
+
+def reached_loss(network: LanguageNetwork, features: Tensor, modulated: Tensor, batch: TimestepBatch) -> Tensor:
+    """Returns the balanced logistic loss of what the network says of reaching goals, float ()."""
+    logits, shown, known = reached_logits(network, features, modulated, batch)
+    return termination_loss(logits, shown & known, ~shown & known)
+
+
+def reached_logits(
+    network: LanguageNetwork, features: Tensor, modulated: Tensor, batch: TimestepBatch
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns logits of frames, told their goal texts and then their rivals, whether they show them, and where we know.
+
+    A frame that shows its goal does not show that of a text which contradicts it; of any other frame that is unknown.
+
+    Args:
+        network: With a recognizer.
+        features: Of the frames, float32 (B, D).
+        modulated: By their goal texts, float32 (B, D).
+        batch: The frames, which a reward model has judged.
+
+    Returns:
+        float32 (2 B,), bool (2 B,), bool (2 B,).
+    """
+    recognizer, judged = network.recognizer, batch.judged
+    if recognizer is None or judged is None:
+        raise ValueError("The network must have a recognizer, and the frames must be judged; they are not.")
+    logits = recognizer.logits(torch.cat([modulated, network.modulate(features, judged.rivals)]))
+    shown = torch.cat([judged.reached, torch.zeros_like(judged.reached)])
+    known = torch.cat([torch.ones_like(judged.reached), judged.reached & judged.is_rivalled])
+    return logits, shown, known
+
+
+def _sha256(reached: Sequence[npt.NDArray[np.bool_]]) -> str:
+    return hashlib.sha256(b"".join(np.packbits(each).tobytes() for each in reached)).hexdigest()

@@ -17,6 +17,7 @@ from freerein_imitation.methods.language.config import LanguageConfig
 from freerein_imitation.methods.language.losses import LanguageLearner
 from freerein_imitation.methods.language.network import LanguageNetwork, LanguageSpec
 from freerein_imitation.methods.language.policy import TEXT_ENCODER_FILE, TEXTS_FILE, LanguagePolicy, text_encoder_entry
+from freerein_imitation.methods.language.recognizer import least_probability
 from freerein_imitation.methods.language.texts import minilm
 from freerein_imitation.model.policy import NEVER_REACHED, ControlSpec
 
@@ -55,12 +56,28 @@ def _prepare(source: FitDataset, config: LanguageConfig, device: torch.device) -
 
 def _card(source: FitDataset, learner: LanguageLearner, fitted: FitResult[LanguageNetwork]) -> dict[str, Any]:
     texts = sorted(set(source.dataset.goal_texts))
+    threshold, figures = _reached(learner, fitted.network)
     return {
-        **ControlSpec(1 / source.dataset.spec.fps, NEVER_REACHED, learner.config.max_steps_per_goal).to_card(),
-        "figures": {**fitted.figures, "action_loss": fitted.validation_loss},
+        **ControlSpec(1 / source.dataset.spec.fps, threshold, learner.config.max_steps_per_goal).to_card(),
+        "figures": {**fitted.figures, "action_loss": fitted.validation_loss, **figures},
         "goal_texts": {"count": len(texts), "first": texts[:_TEXTS_IN_CARD]},
-        **supervision_of(read_teachers(source.root)),
+        **supervision_of(read_teachers(source.root), is_judged=learner.spec.predicts_reached),
         **text_encoder_entry(minilm.NAME, learner.text_encoder),
+    }
+
+
+def _reached(learner: LanguageLearner, network: LanguageNetwork) -> tuple[float, dict[str, float]]:
+    """Returns the probability from which on a goal counts as reached, and what is known of it on held-out frames."""
+    if network.recognizer is None:
+        return NEVER_REACHED, {}
+    logits, shown = learner.held_out_reached(network)
+    probabilities = network.recognizer.probability(logits)
+    threshold = least_probability(probabilities, shown)
+    said = probabilities >= threshold
+    return threshold, {
+        "reached_share": shown.double().mean().item(),
+        "reached_recall": (said & shown).sum().item() / max(1, shown.sum().item()),
+        "reached_precision": (said & shown).sum().item() / max(1, said.sum().item()),
     }
 
 
@@ -69,9 +86,14 @@ def _files(learner: LanguageLearner) -> Mapping[str, bytes]:
     return {TEXT_ENCODER_FILE: learner.text_encoder, TEXTS_FILE: json.dumps(texts).encode()}
 
 
-def supervision_of(teacher_cards: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Returns the card's entries on supervision: the dataset's, and that of the policies that acted in it, if any."""
+def supervision_of(teacher_cards: Sequence[Mapping[str, Any]], *, is_judged: bool = False) -> dict[str, Any]:
+    """Returns the card's entries on supervision: the dataset's, and that of the policies that acted in it, if any.
+
+    `is_judged` tells whether the frames that show the goal were told by a learned reward.
+    """
     supervision = "images, executed actions and goal texts"
+    if is_judged:
+        supervision += ", and which frames a learned reward rewards,"
     if teacher_cards:
         theirs = sorted({str(card.get("supervision") or "unknown") for card in teacher_cards})
         supervision += f" of policies with this supervision: {'; or: '.join(theirs)}"

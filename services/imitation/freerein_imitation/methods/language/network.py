@@ -16,6 +16,7 @@ from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
+from freerein_imitation.methods.language.recognizer import GoalTextRecognizer
 from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextReader
 from freerein_imitation.model.torch_policy import PolicyNetwork
 
@@ -37,6 +38,7 @@ class LanguageSpec(InputSpec):
         text_components: Principal components of the training goal texts.
         known_texts: Training goal texts.
         conditioning: As in `LanguageConfig`.
+        predicts_reached: Whether it says that the goal is reached.
         encoder: Image encoder.
         features: Image features per camera.
         text_features: Size of the text features.
@@ -47,6 +49,7 @@ class LanguageSpec(InputSpec):
     text_components: int = bounded(1, least=1, most=MAX_COMPONENTS)
     known_texts: int = bounded(1, least=1, most=MAX_KNOWN_TEXTS)
     conditioning: Conditioning = "text"
+    predicts_reached: bool = False
     encoder: str = one_of(ENCODERS, "spatial")
     features: int = bounded(128, least=8, most=1024)
     text_features: int = bounded(32, least=1, most=1024)
@@ -63,6 +66,7 @@ class LanguageNetwork(PolicyNetwork):
 
     Attributes:
         reader: Reads goal texts; trained before, on text alone.
+        recognizer: Says whether the modulated features show the goal; None where the network does not.
     """
 
     spec: LanguageSpec
@@ -81,6 +85,7 @@ class LanguageNetwork(PolicyNetwork):
         self.action_head = nn.Linear(spec.hidden_size, spec.encoded_action_size)
         self.in_distribution = InDistribution(*statistics_sizes(spec.cameras))
         self.reader = GoalTextReader(spec.text_size).requires_grad_(False)
+        self.recognizer = GoalTextRecognizer(self.encoder.size, spec.hidden_size) if spec.predicts_reached else None
         self.register_buffer("text_mean", torch.zeros(self.reader.code_size))
         self.register_buffer("text_basis", torch.zeros(self.reader.code_size, spec.text_components))
         self.register_buffer("known_texts", torch.zeros(spec.known_texts, spec.text_components))
@@ -138,9 +143,17 @@ class LanguageNetwork(PolicyNetwork):
 
     def act(self, features: Tensor, texts: Tensor) -> Tensor:
         """Returns actions as `forward` does, of frames with features float32 (B, D), from `encoder`."""
+        return self.act_on(self.modulate(features, texts))
+
+    def modulate(self, features: Tensor, texts: Tensor) -> Tensor:
+        """Returns features, float32 (B, D), from `encoder`, as codes of texts, (B, code size), modulate them."""
         text = functional.relu(self.text_layer(self._condition(texts)))  # (B, text_features)
         scale, shift = self.film(text).chunk(2, dim=1)  # (B, D) each
-        modulated = features * (1 + scale) + shift  # (B, D)
+        modulated: Tensor = features * (1 + scale) + shift
+        return modulated
+
+    def act_on(self, modulated: Tensor) -> Tensor:
+        """Returns actions as `forward` does, of modulated features, float32 (B, D)."""
         hidden = functional.relu(self.hidden2(functional.relu(self.hidden1(modulated))))  # (B, hidden_size)
         action: Tensor = self.action_head(hidden)  # (B, A or choices)
         return action[:, None] if self.spec.action.choices else action

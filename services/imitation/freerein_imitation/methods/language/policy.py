@@ -25,7 +25,7 @@ _ENCODER_KEY = "text_encoder"
 
 
 class LanguagePolicy(TorchPolicy[LanguageNetwork]):
-    """Follows a text. It has no termination head and no recurrent state.
+    """Follows a text. It has no recurrent state, and says whether the goal is reached where its network does.
 
     A relation of two objects of its training texts that none of these states is followed, too, at an in-distribution
     score of 0.
@@ -55,7 +55,11 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
                 hint="Fit the model again, or restore its folder from a copy.",
             )
         super().__init__(
-            network, control, goal_form="text", training_texts=tuple(training_texts), predicts_reached=False
+            network,
+            control,
+            goal_form="text",
+            training_texts=tuple(training_texts),
+            predicts_reached=spec.predicts_reached,
         )
         self.spec.known_texts.read("")  # reads thousands of training texts here, and not on the event loop
         self._text_encoder = text_encoder
@@ -78,10 +82,13 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
         return torch.stack([self._reader.encode(goal, self._text_encoder) for goal in goals]).numpy()
 
     def _step(self, inputs: StepInputs) -> StepOutputs:
-        actions = self._network(inputs.frames, inputs.goals)
+        network = self._network
+        modulated = network.modulate(network.encoder(inputs.frames), inputs.goals)
+        actions = network.act_on(modulated)
         chosen = actions.argmax(dim=2) if self.spec.action.choices else actions.clamp(-1, 1)  # (B, A)
-        familiar = self._network.knows(inputs.goals).float()
-        return StepOutputs(chosen[:, None], torch.zeros_like(familiar), inputs.recurrent, familiar)
+        familiar = network.knows(inputs.goals).float()
+        reached = torch.zeros_like(familiar) if network.recognizer is None else network.recognizer(modulated)
+        return StepOutputs(chosen[:, None], reached, inputs.recurrent, familiar)
 
 
 def text_encoder_entry(name: str, data: bytes) -> dict[str, JSON]:

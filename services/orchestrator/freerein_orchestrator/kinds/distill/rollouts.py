@@ -3,6 +3,9 @@
 In the first iteration the teachers act. In later ones a student acts, told the goal text, and what is recorded is what
 the teacher would have done (DAgger, Ross et al. 2011): the student learns to return from where its own errors lead.
 
+Where all teachers learned from a learned reward, its model judges which frames show the goal: the student learns to say
+so.
+
 Episodes are run in rounds of `num_envs`. A round depends on the seed, its position and the student alone: an
 interrupted one is run again, and those of its episodes that are on disk are skipped.
 
@@ -18,10 +21,11 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from freerein.atomic_files import write_atomic
 from freerein.clients.tasks import find_task
-from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer
+from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer, reached
 from freerein.errors import FailedPrecondition
 from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.types.common import Goal, ModelRef, Trajectory
@@ -106,6 +110,7 @@ class _Recording:
         self._tasks: list[Task] = [
             self._retry.call(partial(find_task, self._sim, str(policy.card["task"]))) for policy in policies
         ]
+        self._is_judged = all(policy.card.get("reward") == "learned" for policy in policies)
         (self._camera,) = PolicyInterface.of_stored(policies[0]).cameras
         self._path = context.folder / "checkpoints" / "rollouts.json"
         self._kept: list[int] = json.loads(self._path.read_bytes()) if self._path.is_file() else []
@@ -145,6 +150,8 @@ class _Recording:
                 hint="Start a new run.",
             )
         for episode in kept[recorded:]:
+            if self._is_judged:
+                reached.save(self._root, len(writer), self._reached(policy, episode))
             writer.append(
                 Trajectory(
                     frames={camera: frames[:-1] for camera, frames in episode.frames.items()},
@@ -199,6 +206,11 @@ class _Recording:
         last = np.stack([episode.frames[self._camera.name][-2] for episode in episodes])  # of the recorded rollout
         rewards = self._retry.call(lambda: reward.of_frames(last))
         return [episode for episode, each in zip(episodes, rewards, strict=True) if each > 0]
+
+    def _reached(self, policy: StoredPolicy, episode: Episode) -> npt.NDArray[np.bool_]:
+        """Returns which recorded frames show the goal, bool (T,), by the reward model that the teacher learned from."""
+        reward, frames = self._reward_of(policy), episode.frames[self._camera.name][:-1]
+        return self._retry.call(lambda: reward.of_frames(frames)) > 0
 
     def _reward_of(self, policy: StoredPolicy) -> LearnedReward:
         goal_text, model = str(policy.card["goal_text"]), ModelRef(**policy.card["model"])

@@ -7,6 +7,7 @@ the baseline; they go on to the next landmark by true states, too, which no poli
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -14,7 +15,6 @@ import numpy.typing as npt
 
 from freerein.config import bounded
 from freerein.errors import InvalidInput
-from freerein.metrics import auroc, expected_calibration_error
 from freerein.types.common import Goal
 from freerein_orchestrator.envs.episodes import Episode, run_episodes
 from freerein_orchestrator.envs.policies import encode_raw
@@ -31,10 +31,12 @@ from freerein_orchestrator.kinds.evaluate.form import (
     ratio_figure,
     share_figure,
 )
+from freerein_orchestrator.kinds.evaluate.goal_flags import flag_figures
 from freerein_orchestrator.kinds.evaluate.policies import PolicyConfig, check_no_goal, check_policy, find_policy
 
 AT_LANDMARK, OBJECT_MOVES = "at-landmark", "object-moves"
 _EXPLORATION, _BASELINE = 0, 1  # random streams
+_FLAGGED = ("at_landmark", "confidence")
 _SPLITS = {"": (False, True), "object_moves.": (True,), "no_object_moves.": (False,)}
 """Which landmarks count, by whether an object must move, by prefix of a figure."""
 
@@ -300,17 +302,13 @@ def _recognized_figures(values: Sequence[dict[str, Any]], *, seed: int) -> dict[
 
 def _recognizer_figures(values: Sequence[dict[str, Any]], *, seed: int) -> dict[str, Figure]:
     """Returns the quality of the goal recognizer on the states that the policy visited."""
-    at_landmark = np.concatenate([np.array(each["at_landmark"], bool) for each in values])
-    confidence = np.concatenate([np.array(each["confidence"], np.float64) for each in values])
+    at_landmark, confidence = (list(chain.from_iterable(each[name] for each in values)) for name in _FLAGGED)
     sums, counts = ([[fold(each["at_landmark"])] for each in values] for fold in (sum, len))
-    figures = {
+    return {
         **_recognized_figures(values, seed=seed),
         "visited.at_landmark": ratio_figure(sums, counts, seed=seed),
-        "visited.goal_ece": Figure(expected_calibration_error(confidence, at_landmark), baseline=0.0),
+        **{f"visited.{name}": figure for name, figure in flag_figures(confidence, at_landmark).items()},
     }
-    if 0 < at_landmark.sum() < len(at_landmark):
-        figures["visited.goal_auroc"] = Figure(auroc(confidence, at_landmark), baseline=0.5)
-    return figures
 
 
 FORM = Form(LandmarksConfig, LandmarksEvaluation, check_policy)

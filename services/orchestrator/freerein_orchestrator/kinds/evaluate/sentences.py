@@ -2,11 +2,13 @@
 
 All goal texts are told in episodes from the same starts. The word-blind baseline is the one text that, told in all
 tasks, earns most: what a policy earns that ignores its goal. The confusion matrix says what was done when each text was
-told: the tasks whose goal held at the end.
+told: the tasks whose goal held at the end. Where the policy says whether its goal is reached, its confidence is
+compared with whether the goal held, in each task told its own text.
 """
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -27,7 +29,10 @@ from freerein_orchestrator.kinds.evaluate.form import (
     mean_figure,
     ratio_figure,
 )
+from freerein_orchestrator.kinds.evaluate.goal_flags import flag_figures, judged
 from freerein_orchestrator.kinds.evaluate.policies import PolicyConfig, check_no_goal, check_policy, find_policy
+
+_FLAGS = ("confidence", "holds")
 
 Values = npt.NDArray[np.float64]
 """float64 (tasks, texts, N): a value of each of N trials."""
@@ -96,7 +101,15 @@ class SentencesEvaluation:
             returns = np.array([[float(each.rewards.sum()) for each in texts] for texts in told])
             successes = [[each.success for each in texts] for texts in told]
             own = float(self._own_texts(returns).mean())
-            values = {"returns": returns.tolist(), "successes": successes, "own_text_return": own}
+            flags = [judged(each[self._texts.index(text)]) for each, text in zip(told, self._own, strict=True)]
+            confidence, holds = (list(chain.from_iterable(each)) for each in zip(*flags, strict=True))
+            values = {
+                "returns": returns.tolist(),
+                "successes": successes,
+                "own_text_return": own,
+                "confidence": confidence,
+                "holds": holds,
+            }
             trials.append(Trial(values, {FILMED: told[0][0].actions}))
         return trials
 
@@ -125,6 +138,7 @@ class SentencesEvaluation:
             "word_blind": word_blind,
             "gain_by_words": mean_figure(own - constant[best], seed=seed, baseline=0.0),
             **told_is_done(successes, [self._texts.index(text) for text in self._own], seed=seed),
+            **flag_figures(*(list(chain.from_iterable(each.values[name] for each in trials)) for name in _FLAGS)),
         }
         told = [
             {"task": task.name, "goal_text": text, "return_mean": asdict(mean_figure(returns[row, column], seed=seed))}
