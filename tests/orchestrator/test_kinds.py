@@ -20,6 +20,7 @@ CONFIGS: dict[str, tuple[dict[str, Any], int]] = {
     "distill": ({"teachers": ["left", "right"], "rollouts": 4, "config": {"steps": 9}}, 17),
     "evaluate": ({"task": "grid", "policy": {"run": "fit"}, "episodes": 3}, 3),
     "skills": ({"task": "grid", "count": 8, "episodes": 3, "policies": {"steps": 7}, "segmentation": {"steps": 5}}, 34),
+    "zsrm": ({"task": "grid", "text": "a red cell on a blue cell", "count": 8, "policy": {"iterations": 3}}, 1011),
     "pipeline": ({"steps": [{"name": "fit", "kind": "fit", "config": FIT}]}, 30),
 }
 

@@ -9,6 +9,7 @@ from freerein_orchestrator.kinds import collect, distill, evaluate, fit, label, 
 from freerein_orchestrator.kinds.kind import Kind as Kind
 from freerein_orchestrator.kinds.pipeline import pipeline_kind
 from freerein_orchestrator.kinds.skills import skills_kind
+from freerein_orchestrator.kinds.zsrm import zsrm_kind
 
 _SINGLE: Mapping[str, Kind[Any]] = {
     "collect": collect.KIND,
@@ -19,7 +20,12 @@ _SINGLE: Mapping[str, Kind[Any]] = {
     "ppo": ppo.KIND,
 }
 _PIPELINE = pipeline_kind(_SINGLE)
-KINDS: Mapping[str, Kind[Any]] = {**_SINGLE, "pipeline": _PIPELINE, "skills": skills_kind(_PIPELINE)}
+KINDS: Mapping[str, Kind[Any]] = {
+    **_SINGLE,
+    "pipeline": _PIPELINE,
+    "skills": skills_kind(_PIPELINE),
+    "zsrm": zsrm_kind(_PIPELINE),
+}
 
 
 def find_kind(name: str) -> Kind[Any]:

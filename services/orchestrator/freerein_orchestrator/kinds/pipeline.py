@@ -79,6 +79,11 @@ class Pipeline:
     steps: tuple[Step, ...]
 
 
+def make_step(name: str, kind: str, **config: Any) -> dict[str, Any]:
+    """Returns a step as a configuration has it."""
+    return {"name": name, "kind": kind, "config": config}
+
+
 def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
     """Returns the kind `pipeline`, whose steps may be of `kinds`."""
 

@@ -24,7 +24,7 @@ from freerein_orchestrator.kinds.evaluate.record import RESULT
 from freerein_orchestrator.kinds.fit import check_steps
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.label import CARD as LABELS_CARD
-from freerein_orchestrator.kinds.pipeline import Pipeline
+from freerein_orchestrator.kinds.pipeline import Pipeline, make_step
 
 _HELD_OUT_SEED = 1_000_000
 """Added to the seed for evaluations."""
@@ -127,12 +127,12 @@ def pipeline_steps(config: SkillsRunConfig, task: Task) -> list[dict[str, Any]]:
     demos = {"count": config.count, "min_skills": fewest, "max_skills": most, "seed": config.seed}
     fit = {"dataset": name, "model_name": name}
     return [
-        _step("demos", "collect", task=task.name, dataset=name, **demos),
-        _step("segmentation", "fit", service="segmentation", config=segmentation, **fit),
-        _step("label", "label", dataset=name, model=name, smoothing=config.smoothing, min_kept=config.min_kept),
-        _step("policies", "fit", service="imitation", config=policies, **fit),
-        _step("recipes", "evaluate", policy={"run": "policies"}, **recipes),
-        _step("expert", "evaluate", policy="expert", **recipes),
+        make_step("demos", "collect", task=task.name, dataset=name, **demos),
+        make_step("segmentation", "fit", service="segmentation", config=segmentation, **fit),
+        make_step("label", "label", dataset=name, model=name, smoothing=config.smoothing, min_kept=config.min_kept),
+        make_step("policies", "fit", service="imitation", config=policies, **fit),
+        make_step("recipes", "evaluate", policy={"run": "policies"}, **recipes),
+        make_step("expert", "evaluate", policy="expert", **recipes),
     ]
 
 
@@ -149,10 +149,6 @@ def skills_kind(pipeline: Kind[Pipeline]) -> Kind[SkillsRunConfig]:
         return replace(config, name=config.shared_name)
 
     return Kind({"": SkillsRunConfig}, named, steps=lambda config: config.steps, run=run)
-
-
-def _step(name: str, kind: str, **config: Any) -> dict[str, Any]:
-    return {"name": name, "kind": kind, "config": config}
 
 
 def _write_result(context: RunContext, task: Task) -> None:

@@ -1,0 +1,185 @@
+"""Kind `zsrm`: from a goal in words to a policy, by a zero-shot reward model (chapter 4).
+
+It is a pipeline: unlabelled images are recorded, a reward model is fitted to captions that the grounding model makes of
+them, and a policy is trained by PPO on that reward alone. The policy is published: the imitation service serves it.
+
+<folder>/parts/, artifacts/     as of a pipeline, whose steps are images, reward, policy
+         artifacts/policy.*     the policy, as a run of kind `ppo` leaves it
+         artifacts/result.json  the goal, the models, what the training's own reward says, and the supervision
+"""
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+from freerein.atomic_files import write_atomic
+from freerein.clients.tasks import find_task
+from freerein.config import bounded, parse
+from freerein.errors import InvalidInput, NotFound, must_be, quoted
+from freerein.goal_text import noun_phrases
+from freerein.learning.actor_critic.policy_files import IN_DISTRIBUTION_FILE, NAMES
+from freerein.types.common import check_name
+from freerein.types.imitation import PublishPolicyRequest
+from freerein.types.sim import Task
+from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.kinds.evaluate.record import RESULT
+from freerein_orchestrator.kinds.fit import check_steps
+from freerein_orchestrator.kinds.kind import Kind
+from freerein_orchestrator.kinds.pipeline import Pipeline, make_step
+from freerein_orchestrator.kinds.ppo import PPORunConfig
+
+_SCENES = ".scatter"
+"""What the name of a world's task ends in that shows its things in many places."""
+
+_REWARD: Mapping[str, Any] = {"steps": 1000}
+_OWN = ("task", "goal_text", "reward", "reward_model")
+"""Keys of the training that this kind sets."""
+
+
+@dataclass(frozen=True)
+class ZsrmRunConfig:
+    """Configuration of a run of kind `zsrm`.
+
+    Attributes:
+        task: The task that the policy acts in.
+        text: The goal in words, a relation of two things; empty for the task's own.
+        phrases: Noun phrases of other things that images may show, beside the text's two.
+        scenes: The task that the images are recorded in; empty for that of the same world whose name ends in
+            `.scatter`, or where there is none `task` itself.
+        count: Trajectories of images, with random actions.
+        name: Name of the dataset, of the reward model and of the published policy; empty for the task's, with `-zsrm`.
+        reward: Configuration of the reward model's fit.
+        policy: Configuration of the training by PPO, but for `task`, `goal_text`, `reward` and `reward_model`.
+        seed: Seed of every random draw.
+
+    Raises:
+        InvalidInput: A name is invalid, the text relates no two things, or `steps` of the fit's configuration is
+            invalid, or the training's configuration is.
+    """
+
+    task: str
+    text: str = ""
+    phrases: tuple[str, ...] = ()
+    scenes: str = ""
+    count: int = bounded(1000, least=2, most=1_000_000)
+    name: str = ""
+    reward: dict[str, Any] = field(default_factory=dict)
+    policy: dict[str, Any] = field(default_factory=dict)
+    seed: int = bounded(0, least=0, most=2**31 - 1)
+
+    def __post_init__(self) -> None:
+        check_name(self.shared_name, field="config.name" if self.name else "config.task")
+        check_steps(self.reward)
+        if self.text:
+            _nouns(self.text)
+        if own := sorted(set(self.policy).intersection(_OWN)):
+            rule = f"without {', '.join(_OWN)}, which this kind sets"
+            raise must_be("policy", rule, f"one with {', '.join(own)}", field="config.policy", hint="Leave them out.")
+        self.training(self.text)
+
+    @property
+    def shared_name(self) -> str:
+        """Name of the dataset, of the reward model and of the published policy."""
+        return self.name or f"{self.task}-zsrm"
+
+    @property
+    def fit(self) -> dict[str, Any]:
+        """Configuration of the reward model's fit, with the defaults of this kind, but for the phrases."""
+        return {**_REWARD, "seed": self.seed, **self.reward}
+
+    def training(self, text: str) -> PPORunConfig:
+        """Returns the training of a policy that does what a text says."""
+        own = {"task": self.task, "goal_text": text, "reward_model": self.shared_name}
+        return parse(PPORunConfig, {"seed": self.seed, **self.policy, **own})
+
+
+def pipeline_steps(config: ZsrmRunConfig, task: Task, scenes: str) -> list[dict[str, Any]]:
+    """Returns the steps of the pipeline, in order.
+
+    Args:
+        config: The run's.
+        task: The task that the policy acts in.
+        scenes: Name of the task that the images are recorded in.
+
+    Raises:
+        InvalidInput: The goal in words relates no two things.
+    """
+    name, text = config.shared_name, config.text or task.goal_text
+    camera = config.training(text).camera
+    phrases = list(dict.fromkeys([*_nouns(text), *config.phrases]))
+    images = {"behaviour": "random", "count": config.count, "seed": config.seed}
+    if camera:
+        images["cameras"] = [camera]
+    policy = {**config.policy, "task": task.name, "goal_text": text, "reward_model": name}
+    return [
+        make_step("images", "collect", task=scenes, dataset=name, **images),
+        make_step(
+            "reward", "fit", service="reward", dataset=name, model_name=name, config={**config.fit, "phrases": phrases}
+        ),
+        make_step("policy", "ppo", **{"seed": config.seed, **policy}),
+    ]
+
+
+def zsrm_kind(pipeline: Kind[Pipeline]) -> Kind[ZsrmRunConfig]:
+    """Returns the kind `zsrm`, which is done by the kind `pipeline`."""
+
+    def run(context: RunContext, config: ZsrmRunConfig) -> None:
+        sim, retry = context.client("sim"), context.retry()
+        task = retry.call(lambda: find_task(sim, config.task))
+        scenes = config.scenes or retry.call(lambda: _scenes_of(context, task))
+        pipeline.run(context, pipeline.parse({"steps": pipeline_steps(config, task, scenes)}))
+        _publish(context, config)
+
+    def named(values: Mapping[str, Any]) -> ZsrmRunConfig:
+        config = parse(ZsrmRunConfig, values)
+        return replace(config, name=config.shared_name)
+
+    def steps(config: ZsrmRunConfig) -> int:
+        return config.count + int(config.fit["steps"]) + config.training(config.text).iterations
+
+    return Kind({"": ZsrmRunConfig}, named, steps=steps, run=run)
+
+
+def _scenes_of(context: RunContext, task: Task) -> str:
+    """Returns the task of the same world that shows its things in many places, or the task itself."""
+    try:
+        return find_task(context.client("sim"), f"{task.world}{_SCENES}").name
+    except NotFound:
+        return task.name
+
+
+def _nouns(text: str) -> tuple[str, ...]:
+    """Returns the two noun phrases of a text."""
+    found = noun_phrases((text,))
+    if len(found) != 2:
+        raise InvalidInput(
+            f"The goal must relate two things; got {quoted(text)}.",
+            field="config.text",
+            hint="For example: a yellow block to the left of a green block.",
+        )
+    return found
+
+
+def _publish(context: RunContext, config: ZsrmRunConfig) -> None:
+    """Leaves the policy as a run of kind `ppo` does, publishes it, and writes the result."""
+    for name in (NAMES.weights, IN_DISTRIBUTION_FILE, NAMES.card):
+        shutil.copyfile(context.artifacts / f"policy.{name}", context.artifacts / name)
+    card = json.loads((context.artifacts / NAMES.card).read_bytes())
+    imitation, run_id = context.client("imitation"), context.run_folder.name
+    published = context.retry().call(
+        partial(imitation.publish_policy, PublishPolicyRequest(run_id, config.shared_name))
+    )
+    context.record_model(published.model)
+    document = {
+        "task": card["task"],
+        "goal_text": card["goal_text"],
+        "models": {"reward": card["model"], "policy": vars(published.model)},
+        "figures": card["figures"],
+        "audit": "self-consistency only: the figures are of the reward that the policy was trained on",
+        "supervision": card["supervision"],
+        "privileged": card["privileged"],
+    }
+    write_atomic(context.artifacts / RESULT, json.dumps(document, indent=2).encode() + b"\n")

@@ -1,0 +1,83 @@
+"""Runs of kind `zsrm`, with the real sim, reward and imitation services."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from freerein.clients import Channel, ImitationClient, SyncClient
+from freerein.errors import InvalidInput
+from freerein.types.common import ActionSpec
+from freerein.types.imitation import GetSpecRequest
+from freerein.types.sim import Task
+from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds.zsrm import ZsrmRunConfig, pipeline_steps
+
+TEXT = "a red block to the left of a blue block"
+TASK = Task("blocks.yellow-left-of-green", "blocks", "put it there", (), ActionSpec(3, 0, ("x",)), 0.1, (), 100)
+
+
+def test_the_texts_two_things_are_the_phrases_of_the_reward_that_the_policy_learns_from() -> None:
+    config = ZsrmRunConfig(TASK.name, TEXT, phrases=("a green block", "a red block"), policy={"camera": "left"}, seed=3)
+    images, reward, policy = (each["config"] for each in pipeline_steps(config, TASK, "blocks.scatter"))
+    assert (images["task"], images["behaviour"], images["cameras"]) == ("blocks.scatter", "random", ["left"])
+    assert reward["config"]["phrases"] == ["a red block", "a blue block", "a green block"]
+    assert policy["reward_model"] == reward["model_name"] == f"{TASK.name}-zsrm"
+    assert (policy["goal_text"], policy["seed"], reward["config"]["seed"]) == (TEXT, 3, 3)
+    KINDS["pipeline"].parse({"steps": pipeline_steps(config, TASK, "blocks.scatter")})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"text": "stack everything"}, "config.text"),
+        ({"policy": {"batch_size": 7}}, "config.batch_size"),
+        ({"policy": {"reward": "oracle"}}, "config.policy"),
+        ({"reward": {"steps": -1}}, "config"),
+        ({"name": "../a"}, "config.name"),
+    ],
+)
+def test_what_cannot_be_learned_from_is_refused_before_anything_is_done(wrong: dict[str, Any], field: str) -> None:
+    with pytest.raises(InvalidInput) as refused:
+        KINDS["zsrm"].parse({"task": TASK.name, **wrong})
+    assert refused.value.field.startswith(field)
+
+
+def test_a_task_whose_own_goal_relates_nothing_needs_a_text() -> None:
+    with pytest.raises(InvalidInput, match="must relate two things; got `put it there`"):
+        pipeline_steps(ZsrmRunConfig(TASK.name), TASK, TASK.name)
+
+
+@pytest.mark.long  # a fit of a reward model, and of a goal eye
+@pytest.mark.e2e
+def test_a_run_goes_from_a_text_to_a_policy_that_is_served_though_it_is_stopped_between(
+    new_run: Callable[..., Any], start_service: Callable[..., Any], tmp_path: Path
+) -> None:
+    started = {
+        name: start_service(f"freerein_{name.lower()}", tmp_path, FREEREIN_SIM_WORKERS="1")
+        for name in ("SIM", "REWARD", "IMITATION")
+    }
+    services = {f"FREEREIN_{name}_ADDRESS": service.address for name, service in started.items()}
+    config = {
+        "task": "blocks.red-left-of-blue",
+        "count": 60,
+        "name": "words",
+        "reward": {"steps": 20},
+        "policy": {"iterations": 1, "explorations": 2, "num_steps": 32, "num_envs": 2, "batch_size": 16},
+    }
+    run = new_run(tmp_path, "zsrm", config, **services)
+    fitted = run.folder / "parts" / "reward" / "done.json"
+    assert not run.do(stop=fitted.exists)
+    recorded = fitted.stat().st_mtime_ns
+
+    assert run.do()
+
+    assert fitted.stat().st_mtime_ns == recorded
+    assert run.rows[-1]["step"] == run.kind.steps(run.config) == 60 + 20 + 1
+    result = run.artifact("result.json")
+    assert (result["goal_text"], result["privileged"]) == (TEXT, False)
+    assert result["models"]["policy"] == vars(run.model)
+    assert (result["models"]["reward"]["name"], run.model.name) == ("words", "words")
+    with SyncClient(ImitationClient(Channel(started["IMITATION"].address))) as imitation:
+        assert imitation.get_spec(GetSpecRequest(run.model)).goal_texts == (TEXT,)
