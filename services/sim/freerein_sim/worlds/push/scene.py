@@ -25,10 +25,10 @@ from freerein_sim.worlds.push.things import (
 from freerein_sim.worlds.scenes import add_camera, add_lamp, add_servo, new_scene, use_firm_contacts
 
 TIMESTEP_S = 0.004
-TABLE_HALF_M = np.array([0.24, 0.26])
+TABLE_HALF_M = np.array([0.23, 0.25])
 """Half extents of the table along x and y."""
 
-HAND_M = np.array([0.20, 0.22])
+HAND_M = np.array([0.22, 0.24])
 """Greatest distance of the hand from the middle of the table, along x and y."""
 
 HAND_JOINTS = ("hand.x", "hand.y", "hand.z")
@@ -42,7 +42,7 @@ CAMERAS = {
 }
 """Positions. The cameras look down at 40 degrees: low enough to tell heights, and over most of what is in front."""
 
-_TARGET_M, _FOVY_DEG = (0.0, 0.0, 0.045), 17.4
+_TARGET_M, _FOVY_DEG = (0.0, 0.0, 0.045), 18.4
 _TABLE, _FLOOR = (0.27, 0.28, 0.31, 1), (0.52, 0.56, 0.60, 1)
 _STEEL, _RUBBER, _WOOD = (0.68, 0.69, 0.71, 1), (0.50, 0.51, 0.53, 1), (0.62, 0.47, 0.33, 1)
 _FINGERTIP_M = 0.123
