@@ -31,8 +31,8 @@ _OFF_CENTRE_M = 0.012
 
 _TRIES = 40
 
-PARKED_M = np.array([(-3.0, 0.2 * i, thing.half_height_m) for i, thing in enumerate(EVERYTHING)])
-"""Position of each thing that is not on show, in the order of `EVERYTHING`: float64 (9, 3)."""
+PARKED_M = np.array([(-3.0, 0.2 * i, 1.0) for i in range(len(EVERYTHING))])
+"""Where things float that are not on show and no camera sees them, in the order of `EVERYTHING`: float64 (9, 3)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from freerein_sim.worlds.push.things import (
 )
 from freerein_sim.worlds.scenes import add_camera, add_lamp, add_servo, new_scene, use_firm_contacts
 
-TIMESTEP_S = 0.004
+TIMESTEP_S = 0.005
 TABLE_HALF_M = np.array([0.23, 0.25])
 """Half extents of the table along x and y."""
 
@@ -78,7 +78,6 @@ def build(things: tuple[Thing, ...], *, light: float = 1.0) -> Scene:
 
 
 def _add_room(world: mujoco.MjsBody) -> None:
-    """Adds a table, as a plane on which things lie that are not on show, too, far behind it."""
     add_lamp(world, direction=(-0.5, 0.35, -0.8), diffuse=0.5)
     top = [*TABLE_HALF_M, 0.1]
     world.add_geom(name="table", type=_GEOM.mjGEOM_PLANE, size=top, rgba=_TABLE, friction=[0.3, 0.005, 0.0001])

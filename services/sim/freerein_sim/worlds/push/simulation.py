@@ -55,6 +55,9 @@ class PushWorld(MujocoWorld):
         start = self._draw_initial_state(rng)
         for thing, place, yaw in zip(self.things, start.places, start.yaws_rad, strict=True):
             self._data.joint(thing.name).qpos = (*place, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2))
+            if not is_shown(place):
+                body = self._data.body(thing.name)
+                body.xfrc_applied[:3] = -self._data.model.opt.gravity * self._data.model.body(thing.name).mass
         for name, at in zip(scene.HAND_JOINTS, start.hand, strict=True):
             self._data.joint(name).qpos = at
         self._data.act[:] = start.hand[:2]
