@@ -3,8 +3,8 @@
 #   docker build --build-arg SERVICE=sim -t freerein-sim:0.1.0 .
 #
 # SERVICE is segmentation, imitation, reward, sim, orchestrator or cli. For a machine with a CUDA device, add
-# --build-arg TORCH_INDEX= to get torch from PyPI. The world with the robot of assets-robots.txt, 0.5 GB more, is in the image
-# of sim with --build-arg ROBOTS=1. Works with BuildKit and with Docker's old builder.
+# --build-arg TORCH_INDEX= to get torch from PyPI. The worlds with the robot of assets-robots.txt, 0.5 GB more, are in the
+# image of sim with --build-arg ROBOTS=1. Works with BuildKit and with Docker's old builder.
 #
 # No image can read video: the wheels of PyAV hold x264 and x265, which are GPL. An image that adds the extra `video` of
 # freerein distributes them.

@@ -24,7 +24,7 @@ TASKS = {
 """Tasks that have nothing but lights are tried under one of them: all worlds dim them alike."""
 
 CHECKED = sorted({"replayed", "blocks.blue-on-top-of-red", *(task.world for task in OURS)})
-VARIANTS = ("grid-no-indicator", "blocks.scatter", "dial.uneven", "bins.uneven")
+VARIANTS = ("grid-no-indicator", "blocks.scatter", "push.scatter", "dial.uneven", "bins.uneven")
 """They differ from these in what is seen, in their starts, or in demonstrations, which the golden record holds."""
 HIDES_ITS_RECIPE = (
     "grid-no-indicator",

@@ -10,6 +10,7 @@ from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput
 from freerein_sim.worlds.bins import scene as bins_scene
 from freerein_sim.worlds.blocks import scene as blocks_scene
 from freerein_sim.worlds.grid import SPEC, GridWorld
+from freerein_sim.worlds.push import scene as push_scene
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.world import TaskDefinition
 
@@ -69,6 +70,7 @@ def test_listing_tasks_needs_no_simulator_and_wheels_that_have_assets_are_never_
     [
         ("gymnasium_robotics", partial(blocks_scene.build.__wrapped__, ("red",)), "assets.txt"),
         ("robosuite", bins_scene.build.__wrapped__, "assets-robots.txt"),
+        ("robosuite", partial(push_scene.build.__wrapped__, ()), "assets-robots.txt"),
     ],
 )
 def test_a_missing_wheel_is_named_with_the_command_that_installs_it(

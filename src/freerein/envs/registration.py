@@ -5,15 +5,13 @@ from itertools import permutations
 import gymnasium
 
 _RELATIONS = ("left-of", "on-top-of", "right-of")
-_BLOCKS = tuple(
-    f"blocks.{first}-{relation}-{second}"
-    for first, second in permutations(("blue", "green", "red", "yellow"), 2)
-    for relation in _RELATIONS
-)
+_PAIRS = tuple(permutations(("blue", "green", "red", "yellow"), 2))
+_BLOCKS = tuple(f"blocks.{first}-{relation}-{second}" for first, second in _PAIRS for relation in _RELATIONS)
+_PUSH = tuple(f"push.{first}-close-to-{second}" for first, second in _PAIRS if (first, second) != ("blue", "yellow"))
 
 TASKS = (
     *("bins", "bins.uneven", "blocks", "blocks.scatter", "dial", "dial.uneven", "grid", "grid-no-indicator"),
-    *("pendulum", "tabletop", "tabletop.only-own-objects", *_BLOCKS),
+    *("pendulum", "push", "push.scatter", "tabletop", "tabletop.only-own-objects", *_BLOCKS, *_PUSH),
 )
 """The tasks that come with freerein."""
 

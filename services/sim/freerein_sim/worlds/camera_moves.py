@@ -1,11 +1,14 @@
 """Cameras moved or turned a little, in directions drawn for each episode. MuJoCo's model, which worlds share, stays."""
 
+import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from freerein_sim.worlds.conditions import CAMERA_SHIFT_M, CAMERA_SHIFTED, CAMERA_TURN_DEG, CAMERA_TURNED
 from freerein_sim.worlds.world import foreign_snapshot
 
 _UNIT_TOLERANCE = 1e-6
@@ -52,3 +55,12 @@ class CameraMove:
             mujoco.mju_axisAngle2Quat(quaternion, direction, self.turn_rad)
             mujoco.mju_quat2Mat(matrix, quaternion)
             data.cam_xmat[camera] = (axes @ matrix.reshape(3, 3)).ravel()
+
+
+def camera_move(conditions: Collection[str], *, cameras: int) -> CameraMove | None:
+    """Returns how a number of cameras move under conditions; None where they stay."""
+    if CAMERA_SHIFTED.name in conditions:
+        return CameraMove(cameras, shift_m=CAMERA_SHIFT_M)
+    if CAMERA_TURNED.name in conditions:
+        return CameraMove(cameras, turn_rad=math.radians(CAMERA_TURN_DEG))
+    return None

@@ -32,6 +32,16 @@ LIGHT_CONDITIONS = tuple(
     Condition(name, "light", f"all lights {scale} times as bright") for name, scale in LIGHTS.items()
 )
 
+CAMERA_SHIFTED = Condition(
+    "camera-5cm", "camera", "each camera moved by 5 cm across its view axis, drawn for each episode"
+)
+CAMERA_TURNED = Condition(
+    "camera-3deg", "camera", "each camera turned by 3 degrees about an axis drawn for each episode"
+)
+CAMERA_CONDITIONS = (CAMERA_SHIFTED, CAMERA_TURNED)
+CAMERA_SHIFT_M, CAMERA_TURN_DEG = 0.05, 3.0
+"""Conditions of MuJoCo worlds whose cameras may move, and by how much."""
+
 
 def light_scale(conditions: Collection[str]) -> float:
     """Returns the factor of the lights under conditions."""

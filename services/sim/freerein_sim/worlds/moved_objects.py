@@ -25,18 +25,26 @@ class MovedObjects:
         objects: int64 (objects, 3), indices of the objects' positions.
     """
 
-    def __init__(self, state_names: Sequence[str], *, gripper_axes: str, names: Sequence[str], lifted_m: float) -> None:
+    def __init__(
+        self, state_names: Sequence[str], *, gripper_axes: str, names: Sequence[str], lifted_m: float = 0.02
+    ) -> None:
         self.gripper = [state_names.index(f"gripper.{axis}") for axis in gripper_axes]
         self.objects = np.array([[state_names.index(f"{name}.{axis}") for axis in "xyz"] for name in names])
         self._lifted_m = lifted_m
+
+    def landmarks(self) -> tuple[StatePredicate, ...]:
+        """Returns the predicates of landmarks."""
+        return (
+            StatePredicate(AT_LANDMARK, self._is_at, needs_reference=True),
+            StatePredicate(OBJECT_MOVES, self._is_moved, needs_reference=True),
+        )
 
     def predicates(
         self, skills: Mapping[str, int], is_completed: Callable[[int, States], Flags]
     ) -> tuple[StatePredicate, ...]:
         """Returns the predicates of landmarks, and `lifted/SKILL` and `completed/SKILL` by the index of its object."""
         return (
-            StatePredicate(AT_LANDMARK, self._is_at, needs_reference=True),
-            StatePredicate(OBJECT_MOVES, self._is_moved, needs_reference=True),
+            *self.landmarks(),
             *(StatePredicate(f"lifted/{skill}", partial(self.is_lifted, index)) for skill, index in skills.items()),
             *(StatePredicate(f"completed/{skill}", partial(is_completed, index)) for skill, index in skills.items()),
         )

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be
 
 
 class RecipeSampler(Protocol):
@@ -48,6 +48,35 @@ class RandomOrder:
         """Returns a random part of a random permutation."""
         number = rng.integers(fewest, most, endpoint=True)
         return tuple(skills[i] for i in rng.permutation(len(skills))[:number])
+
+
+@dataclass(frozen=True)
+class FixedOrder:
+    """The same recipe in every episode.
+
+    Attributes:
+        recipe: Its skills, in order.
+    """
+
+    recipe: tuple[str, ...]
+
+    def lengths(self, skills: Sequence[str]) -> tuple[int, int]:
+        """Returns the number of its skills, twice. Raises InvalidInput where one of them may not be drawn."""
+        if set(self.recipe).difference(skills):
+            raise self._refusal(skills, "Leave `skills` out.")
+        return len(self.recipe), len(self.recipe)
+
+    def draw(self, rng: np.random.Generator, skills: Sequence[str], *, fewest: int, most: int) -> tuple[str, ...]:
+        """Returns the recipe; draws nothing."""
+        return self.recipe
+
+    def check(self, recipe: Sequence[str]) -> None:
+        """Raises InvalidInput for a recipe that is neither this one nor empty."""
+        if recipe and tuple(recipe) != self.recipe:
+            raise self._refusal(recipe, "Leave the recipe out.")
+
+    def _refusal(self, skills: Sequence[str], hint: str) -> InvalidInput:
+        return must_be("skills", f"all of the recipe {', '.join(self.recipe)}, in order", ", ".join(skills), hint=hint)
 
 
 def recipe_lengths(

@@ -23,7 +23,7 @@ _NEEDED_BYTES = 1 << 30
 _WANTED_BYTES = 5 << 30
 _SLOW_MS = 20.0
 _TRIES = 15
-_OPTIONAL = "robots"  # of the world `bins`; the others run without them
+_OPTIONAL = "robots"  # of the worlds `bins` and `push`; the others run without them
 _WHEELS = {
     "sim": (
         ("robot meshes", "gymnasium_robotics", "envs/assets"),

@@ -10,6 +10,7 @@ import mujoco
 
 from freerein_sim.worlds.blocks.distractors import DISTRACTORS
 from freerein_sim.worlds.blocks.relations import BLOCK_M
+from freerein_sim.worlds.colours import RGBA
 from freerein_sim.worlds.mujoco_world import Scene, asset_folder, compile_scene
 from freerein_sim.worlds.scenes import add_camera, add_lamp, add_servo, new_scene, use_firm_contacts
 
@@ -30,12 +31,6 @@ PAD_M = (-1.2, 0.0, -0.01)
 
 TIMESTEP_S = 0.002
 
-_RGBA = {
-    "red": (0.86, 0.09, 0.07, 1),
-    "green": (0.12, 0.66, 0.16, 1),
-    "yellow": (0.98, 0.80, 0.06, 1),
-    "blue": (0.10, 0.30, 0.92, 1),
-}
 _TABLE, _WALL, _FLOOR = (0.17, 0.18, 0.21, 1), (0.47, 0.53, 0.58, 1), (0.34, 0.36, 0.39, 1)
 _STEEL, _RUBBER = (0.82, 0.83, 0.85, 1), (0.13, 0.13, 0.15, 1)
 _LINKS_M = {"gripper_link": 0.0, "wrist_roll_link_collision": -0.1664, "wrist_flex_link_collision": -0.3049}
@@ -75,7 +70,7 @@ def build(colours: tuple[str, ...], *, pad: bool = False, light: float = 1.0, di
     if pad:
         spec.worldbody.add_geom(name="pad", type=mujoco.mjtGeom.mjGEOM_BOX, size=_PAD_HALF_M, pos=PAD_M)
     if distractor:
-        DISTRACTORS[distractor].add(spec.worldbody, _RGBA)
+        DISTRACTORS[distractor].add(spec.worldbody, RGBA)
     return compile_scene(spec, light=light)
 
 
@@ -148,7 +143,7 @@ def _add_block(world: mujoco.MjsBody, colour: str) -> None:
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=[BLOCK_M / 2] * 3,
         mass=_BLOCK_KG,
-        rgba=_RGBA[colour],
+        rgba=RGBA[colour],
         condim=4,
         friction=[1.0, 0.05, 0.01],
     )

@@ -4,14 +4,20 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
-from freerein_sim.worlds.conditions import LIGHT_CONDITIONS, Condition, light_scale
+from freerein_sim.worlds.conditions import (
+    CAMERA_SHIFT_M,
+    CAMERA_SHIFTED,
+    CAMERA_TURN_DEG,
+    CAMERA_TURNED,
+    LIGHT_CONDITIONS,
+    Condition,
+    light_scale,
+)
 
-_SHIFT = "each camera moved by 5 cm across its view axis, drawn for each episode"
-_TURN = "each camera turned by 3 degrees about an axis drawn for each episode"
 _ON_THE_WAY = "in two of three episodes the gripper is near the first block or holds it"
 _SEEN: dict[Condition, dict[str, Any]] = {
-    Condition("camera-5cm", "camera", _SHIFT): {"camera_shift_m": 0.05},
-    Condition("camera-3deg", "camera", _TURN): {"camera_turn_deg": 3.0},
+    CAMERA_SHIFTED: {"camera_shift_m": CAMERA_SHIFT_M},
+    CAMERA_TURNED: {"camera_turn_deg": CAMERA_TURN_DEG},
     **{
         Condition(f"blocks-{count}", "blocks", f"{count} blocks on show"): {"blocks": count, "fewest_blocks": count}
         for count in (2, 3, 4)
