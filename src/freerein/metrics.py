@@ -13,6 +13,9 @@ from freerein.errors import InvalidInput
 
 Labels: TypeAlias = npt.NDArray[np.integer[Any]]
 
+_NORMAL_95 = 1.959964
+"""Standard deviations of a normal distribution that hold 95 % of it."""
+
 _DRAWN_AT_ONCE = 1_000_000
 """Numbers of a bootstrap's resamples in memory at once."""
 
@@ -176,6 +179,21 @@ def ratio_interval(
     ratios = np.divide(sums, totals, out=np.zeros_like(sums), where=present)[counted]
     low, high = np.percentile(ratios.sum(axis=1) / present[counted].sum(axis=1), [2.5, 97.5])
     return float(low), float(high)
+
+
+def wilson_interval(count: int, of: int) -> tuple[float, float]:
+    """Returns the 95 % interval of a share by Wilson's score (1927): of trials, of which there is at least one.
+
+    Args:
+        count: Successes.
+        of: Trials.
+    """
+    if of < 1 or not 0 <= count <= of:
+        raise InvalidInput(f"A share must be of at least one trial, and at most 1; got {count} of {of}.")
+    share, weight = count / of, _NORMAL_95**2 / of
+    centre = (share + weight / 2) / (1 + weight)
+    half = (share * (1 - share) * weight + weight**2 / 4) ** 0.5 / (1 + weight)
+    return max(0.0, centre - half), min(1.0, centre + half)
 
 
 def _check_pair(predicted: Labels, truth: Labels) -> None:

@@ -181,9 +181,9 @@ def test_an_id_may_be_given_by_its_first_digits_or_a_readable_name() -> None:
             whole_id(given, ids)
 
 
-@pytest.mark.parametrize("kind", ["collect", "label", "ppo", "fit", "distill", "another"])
+@pytest.mark.parametrize("kind", ["collect", "label", "ppo", "fit", "distill", "zsrm", "another"])
 def test_every_kind_of_run_says_what_to_do_next(kind: str) -> None:
-    names = {"task": "grid", "dataset": "mine", "model_name": "words", "iterations": 92}
+    names = {"task": "grid", "dataset": "mine", "model_name": "words", "name": "words", "iterations": 92}
     config = {**names, "service": "reward", "config": {"method": "language"}}
     commands = [
         shlex.split(each, comments=True) for each in next_steps("orchestrator", replace(_RUN, kind=kind, config=config))

@@ -139,3 +139,50 @@ def test_only_where_every_service_answers_there_is_no_such_fit(
         assert "segmentation, imitation, orchestrator" in error["detail"]
     one = _run("jobs", "cancel", "0" * 32, "--service", "reward", "--json")
     assert json.loads(one.stderr)["error"]["code"] == "not_found"
+
+
+def test_an_audit_says_precision_and_recall_beside_what_people_say(folder: Path) -> None:
+    text = "more on top of less"
+    rewarded = [reward > 0 for reward in _json("reward", str(folder / "frames"), "--goal", text)[0]["rewards"]]
+    says = [not rewarded[0], *rewarded[1:]]  # one error
+    lines = [f"{moment}.png,{text},{'yes' if each else 'no'}" for moment, each in enumerate(says)]
+    table = ["image,text,holds", *lines, "0.png,more crimson on less,no"]
+    (folder / "frames" / "audit.csv").write_text("\n".join(table))
+
+    found = _json("reward", "--audit", str(folder / "frames"))[0]["audit"]
+
+    right = sum(a and b for a, b in zip(rewarded, says, strict=True))
+    for name, count, of in (
+        ("precision", right, sum(rewarded)),
+        ("recall", right, sum(says)),
+        ("false_positives", sum(rewarded) - right, 4 - sum(says)),
+        ("holds", sum(says), 4),
+    ):
+        assert found[name]["of"] == of
+        assert found[name]["value"] == (count / of if of else None)
+    assert found["unknown"] == ["crimson"]
+    assert "never rewarded" in _run("reward", "--audit", str(folder / "frames")).stdout
+
+
+@pytest.mark.parametrize(
+    ("table", "field"),
+    [
+        (None, "audit"),
+        ("image,text\n", "header"),
+        ("image,text,holds\n", "audit"),
+        ("image,text,holds\n0.png,more,perhaps\n", "holds"),
+        ("image,text,holds\n0.png,,yes\n", "text"),
+        ("image,text,holds\n7.png,more,yes\n", "image"),
+        ("image,text,holds\n0.png,yes\n", "holds"),
+    ],
+)
+def test_an_audit_that_cannot_be_read_is_refused_by_its_column_before_a_fit_begins(
+    folder: Path, table: str | None, field: str
+) -> None:
+    if table is not None:
+        (folder / "frames" / "audit.csv").write_text(table)
+    for words in (("reward",), ("fit", "reward", "demos")):
+        refused = _run(*words, "--audit", str(folder / "frames"), "--json")
+        assert refused.exit_code == 1
+        assert json.loads(refused.stderr)["error"]["field"] == field
+    assert _json("jobs", "list", "--service", "reward") == []

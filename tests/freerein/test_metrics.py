@@ -135,3 +135,14 @@ def test_average_precision_is_the_mean_precision_where_true_examples_are_found(
 def test_average_precision_needs_something_to_find() -> None:
     with pytest.raises(InvalidInput):
         metrics.average_precision(np.zeros(3), np.zeros(3, bool))
+
+
+@pytest.mark.parametrize(
+    ("count", "of", "expected"),
+    [(8, 10, (0.4902, 0.9433)), (0, 20, (0.0, 0.1611)), (20, 20, (0.8389, 1.0))],  # Newcombe 1998, method 3
+)
+def test_the_interval_of_a_share_stays_between_none_and_all(count: int, of: int, expected: tuple[float, float]) -> None:
+    assert metrics.wilson_interval(count, of) == pytest.approx(expected, abs=1e-4)
+    for wrong in ((0, 0), (3, 2)):
+        with pytest.raises(InvalidInput):
+            metrics.wilson_interval(*wrong)

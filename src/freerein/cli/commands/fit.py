@@ -8,6 +8,9 @@ from typing import Annotated
 
 import typer
 
+from freerein.cli.audit import Audit, read_answers
+from freerein.cli.audit import audit as run_audit
+from freerein.cli.audit import show as show_audit
 from freerein.cli.commands.dataset import Replace, check_no_path, dataset_root, imported_with_progress
 from freerein.cli.commands.jobs import Watch, show_or_watch
 from freerein.cli.connection import call
@@ -19,7 +22,8 @@ from freerein.data import ImageSource
 from freerein.data.lookup import unseen_cameras
 from freerein.data.meta import read_spec
 from freerein.errors import ServiceError, must_be
-from freerein.types.learning import Fit, StartFitRequest
+from freerein.types.common import ModelRef
+from freerein.types.learning import Fit, GetFitRequest, StartFitRequest
 
 app = typer.Typer(
     help="Start a fit of a model.",
@@ -77,6 +81,7 @@ def reward(
     replace: Replace = False,
     model_name: _ModelName = "",
     settings: Settings = None,
+    audit: Audit = None,
     watch: Watch = False,
     as_json: AsJson = False,
 ) -> None:
@@ -85,12 +90,16 @@ def reward(
     if not name:
         hint = "Write freerein fit reward --images DIR --phrases 'a red ball' --phrases 'a blue ball'."
         raise must_be("A dataset or --images", "given", "neither", field="dataset", hint=hint)
+    answers = read_answers(audit) if audit else []  # refused before anything is done
     named = [phrase.strip() for given in phrases or () for phrase in given.split(",")]
     config = configuration(settings) | ({"phrases": named} if named else {})
     request = StartFitRequest(check_no_path(name), model_name, config)
     with _imported(images, name, replaces=replace, as_json=as_json) if images else nullcontext():
         fit = call(FitClient, "reward", lambda client: client.start_fit(request)).fit
-    _show("reward", fit, watch=watch, as_json=as_json)
+    _show("reward", fit, watch=watch or bool(answers), as_json=as_json)
+    if answers:
+        fitted = call(FitClient, "reward", lambda client: client.get_fit(GetFitRequest(fit.id))).fit
+        show_audit(run_audit(answers, fitted.model or ModelRef(fit.model_name)), as_json=as_json)
 
 
 @contextmanager

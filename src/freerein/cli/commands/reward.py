@@ -10,6 +10,9 @@ import numpy.typing as npt
 import typer
 
 from freerein import images, wire
+from freerein.cli.audit import Audit, read_answers
+from freerein.cli.audit import audit as run_audit
+from freerein.cli.audit import show as show_audit
 from freerein.cli.commands.dataset import dataset_root, read_trajectory
 from freerein.cli.commands.image_files import FILES, read_images
 from freerein.cli.connection import call
@@ -43,7 +46,7 @@ app = typer.Typer(add_completion=False)
 def reward(
     image: _Images = None,
     *,
-    goal: Annotated[str, typer.Option(help="Goal text.")],
+    goal: Annotated[str, typer.Option(help="Goal text; needed without --audit.")] = "",
     rival: _Rivals = None,
     raw: Annotated[bool, typer.Option("--raw", help="Return the similarity instead of 0 or 1.")] = False,
     dataset: Annotated[str, typer.Option(help="Reward a trajectory of this dataset instead of images.")] = "",
@@ -52,10 +55,15 @@ def reward(
     version: Annotated[str, typer.Option(help="Version of that model; the active one by default.")] = "",
     heatmap: _Heatmap = None,
     phrase: _Phrases = None,
+    audit: Audit = None,
     as_json: AsJson = False,
 ) -> None:
     """Reward images against a goal text."""
-    _check(image, dataset, heatmap, phrase)
+    if audit:
+        _check_alone(image, dataset, goal)
+        show_audit(run_audit(read_answers(audit), ModelRef(model, version)), as_json=as_json)
+        return
+    _check(image, dataset, goal, heatmap, phrase)
     asked = RewardRequest(
         goal_text=goal, rivals=tuple(rival or ()), mode="raw" if raw else "binary", model=ModelRef(model, version)
     )
@@ -66,7 +74,16 @@ def reward(
         _show_places(_draw(parts[0], tuple(phrase or ()), heatmap), heatmap, as_json=as_json)
 
 
-def _check(image: list[str] | None, dataset: str, heatmap: Path | None, phrase: list[str] | None) -> None:
+def _check_alone(image: list[str] | None, dataset: str, goal: str) -> None:
+    if image or dataset or goal:
+        hint = "Leave out images, --dataset and --goal: the folder has them."
+        raise must_be("--audit", "given alone", "more", field="audit", hint=hint)
+
+
+def _check(image: list[str] | None, dataset: str, goal: str, heatmap: Path | None, phrase: list[str] | None) -> None:
+    if not goal:
+        hint = "Write freerein reward now.png --goal 'a red block on top of a blue block'."
+        raise must_be("--goal", "given", "none", field="goal", hint=hint)
     if bool(image) == bool(dataset):
         name, hint = (
             "Exactly one of images and a dataset",

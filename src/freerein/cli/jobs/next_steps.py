@@ -44,8 +44,9 @@ def _after_run(run: Run) -> list[str]:
         case "fit":
             model = run.model or ModelRef(str(config["model_name"]))
             return _with_model(str(config["service"]), model, str(config["dataset"]), dict(config["config"]))
-        case "distill":
-            return [f"freerein act --model {config['model_name']} --image IMAGE.png --goal-text 'TEXT'"]
+        case "distill" | "zsrm":
+            name = config["model_name" if run.kind == "distill" else "name"]
+            return [f"freerein act --model {name} --image IMAGE.png --goal-text 'TEXT'"]
         case _:
             return [f"freerein jobs artifacts {run_id}  # what it has made"]
 
@@ -63,6 +64,7 @@ def _with_model(service: str, model: ModelRef, dataset: str, config: Mapping[str
         case _:
             return [
                 f"freerein reward IMAGE.png --goal 'TEXT' --model {model.name}",
+                f"freerein reward --audit DIR --model {model.name}  # so far nobody has said what images show",
                 f"freerein run ppo --set task=TASK --set reward_model={model.name} --watch  # learns from it",
             ]
 

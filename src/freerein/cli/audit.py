@@ -1,0 +1,175 @@
+"""Audits of reward models: what people say of some images, beside what the model rewards.
+
+    DIR/audit.csv        image,text,holds
+                         kitchen/0.png,a red cup to the left of a blue cup,yes
+    DIR/kitchen/0.png
+
+Nothing else tells precision and recall of a reward: the figures of its fit are of the captions that it learned from.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from freerein.cli.commands.image_files import read_images
+from freerein.cli.connection import call
+from freerein.cli.output import print_json
+from freerein.cli.tables import show_table
+from freerein.clients import RewardClient
+from freerein.data.annotation_table import lines
+from freerein.errors import InvalidInput, must_be
+from freerein.metrics import wilson_interval
+from freerein.types.common import Image, ModelRef
+from freerein.types.reward import RewardRequest
+
+TABLE = "audit.csv"
+
+Audit = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help=f"Folder of images and `{TABLE}`, what people say of them: precision and recall."),
+]
+
+_COLUMNS = ("image", "text", "holds")
+_ANSWERS: Mapping[str, bool] = {"yes": True, "no": False}
+_IMAGES_PER_REQUEST = 16
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a person says: whether an image shows what a text says."""
+
+    image: Image
+    text: str
+    holds: bool
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of some answers, with its 95 % interval by Wilson's score; None where there are none."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+    of: int
+
+    @classmethod
+    def over(cls, count: int, of: int) -> "Rate":
+        """Returns the rate of a count of some."""
+        return cls(count / of, *wilson_interval(count, of), of) if of else cls(None, None, None, 0)
+
+    def __str__(self) -> str:
+        if self.value is None:
+            return "none"
+        return f"{100 * self.value:.0f} % [{100 * (self.low or 0):.0f}, {100 * (self.high or 0):.0f}] of {self.of}"
+
+
+@dataclass(frozen=True)
+class Report:
+    """What an audit found.
+
+    Attributes:
+        precision: Of the rewarded images, those that show the text.
+        recall: Of the images that show the text, the rewarded ones.
+        false_positives: Of the images that do not show it, the rewarded ones.
+        holds: Of all, those that show the text: the precision of a reward that is always given.
+        unknown: Words of the texts that the model does not know.
+    """
+
+    model: ModelRef
+    precision: Rate
+    recall: Rate
+    false_positives: Rate
+    holds: Rate
+    unknown: tuple[str, ...]
+
+
+def read_answers(folder: Path) -> list[Answer]:
+    """Returns the answers in a folder's table.
+
+    Raises:
+        InvalidInput: There is no table, or a line of it is not as above; the error names line and column.
+        NotFound: An image is missing.
+        UnsupportedMedia: One is no image.
+    """
+    path = folder / TABLE
+    if not path.is_file():
+        raise must_be("audit", f"a folder with `{TABLE}`", "none", hint=f"Its first line is {','.join(_COLUMNS)}.")
+    answers = []
+    for line in lines(path.read_bytes(), _COLUMNS, hint="Put a text with commas in double quotes."):
+        said = line.cells["holds"].strip().lower()
+        if said not in _ANSWERS:
+            raise line.error("holds", "be yes or no; got another word", "Leave out what nobody can tell.")
+        if not line.cells["text"].strip():
+            raise line.error("text", "say what the image may show; it is empty", "Use goal texts of your tasks.")
+        (image,) = _image(folder, line.cells["image"].strip(), number=line.number)
+        answers.append(Answer(image, line.cells["text"].strip(), _ANSWERS[said]))
+    if not answers:
+        raise must_be(TABLE, "at least one answer below its first line", "none", field="audit", hint="Add some.")
+    return answers
+
+
+def _image(folder: Path, name: str, *, number: int) -> Sequence[Image]:
+    if not name or not (folder / name).is_file():
+        raise InvalidInput(
+            f"Line {number}, column `image`, must name a file below the folder; there is none of this name.",
+            field="image",
+            hint="Write kitchen/0.png for DIR/kitchen/0.png.",
+        )
+    return read_images([str(folder / name)])
+
+
+def audit(answers: Sequence[Answer], model: ModelRef) -> Report:
+    """Returns what a reward model says of the images, beside the answers.
+
+    Raises:
+        ServiceError: The reward service refuses, or cannot be reached.
+    """
+
+    async def ask(client: RewardClient) -> tuple[list[bool], ModelRef, list[str]]:
+        rewarded, unknown, used = dict[int, bool](), list[str](), model
+        for text in dict.fromkeys(each.text for each in answers):
+            places = [place for place, each in enumerate(answers) if each.text == text]
+            for start in range(0, len(places), _IMAGES_PER_REQUEST):
+                some = places[start : start + _IMAGES_PER_REQUEST]
+                request = RewardRequest(text, images=tuple(answers[place].image for place in some), model=model)
+                reply = await client.reward(request)
+                rewarded |= dict(zip(some, (reply.rewards > 0).tolist(), strict=True))
+                used, unknown = reply.model, [*unknown, *reply.unknown]
+        return [rewarded[place] for place in range(len(answers))], used, unknown
+
+    rewarded, used, unknown = call(RewardClient, "reward", ask)
+    return _report(rewarded, [each.holds for each in answers], used, unknown)
+
+
+def _report(rewarded: Sequence[bool], holds: Sequence[bool], model: ModelRef, unknown: Sequence[str]) -> Report:
+    pairs = list(zip(rewarded, holds, strict=True))
+    right, given, true = sum(a and b for a, b in pairs), sum(rewarded), sum(holds)
+    return Report(
+        model,
+        precision=Rate.over(right, given),
+        recall=Rate.over(right, true),
+        false_positives=Rate.over(given - right, len(pairs) - true),
+        holds=Rate.over(true, len(pairs)),
+        unknown=tuple(dict.fromkeys(unknown)),
+    )
+
+
+def show(report: Report, *, as_json: bool) -> None:
+    """Prints a report."""
+    if as_json:
+        document: dict[str, Any] = {"audit": asdict(report)}
+        print_json(document)
+        return
+    rates = {
+        "precision: rewarded images that show the text": report.precision,
+        "recall: images that show the text that are rewarded": report.recall,
+        "false positives: images that do not show it that are rewarded": report.false_positives,
+        "base rate: precision of a reward that is always given": report.holds,
+    }
+    show_table(("audit", "share [95 % interval]"), [(name, str(rate)) for name, rate in rates.items()], last="wrapped")
+    typer.echo(f"model {report.model.name} {report.model.version}")
+    if report.unknown:
+        typer.echo(f"The model does not know {', '.join(report.unknown)}: texts with these words are never rewarded.")
