@@ -10,17 +10,17 @@ from freerein_sim.worlds.doom.simulation import DoomWorld
 from freerein_sim.worlds.doom.spec import FORWARD, LEFT, NO_OP, RIGHT
 from freerein_sim.worlds.world import LabelledAction, skill_indices
 
-_THERE_UNITS = 20.0
+_THERE_UNITS = 32.0
 """Distance from the end at which the expert stops."""
 
-_TURNING_DEGREES = (8.0, 14.0)
+_TURNING_DEGREES = (5.0, 10.0)
 """Interval of the angle, drawn for each demonstration, from which it turns rather than walks; a turn takes 7 to 14."""
 
-_STRAY_UNITS, _STRAY_EVERY_UNITS = 12.0, 96.0
+_STRAY_UNITS, _STRAY_EVERY_UNITS = 16.0, 64.0
 """Standard deviation of how far it strays to the side, drawn anew after this length of its way."""
 
 _SMOOTHED = 9
-_REST_PROBABILITY, _MOST_REST_STEPS = 0.02, 3
+_REST_PROBABILITY, _MOST_REST_STEPS = 0.15, 3
 _PATIENCE_STEPS = 20
 """Steps without progress after which it plans anew."""
 
@@ -36,7 +36,7 @@ class PathExpert:
         (self._skill, *_) = skill_indices(world.spec, paths)
         self._end = np.array(world.map.ends(paths[0])[1], np.float64)
         self._turning = rng.uniform(*_TURNING_DEGREES)
-        self._resting = 0
+        self._resting = -1
         self._plan()
 
     def act(self) -> LabelledAction | None:
@@ -52,8 +52,8 @@ class PathExpert:
     def _choose(self) -> int:
         self._resting -= 1
         if self._resting < 0 and self._rng.random() < _REST_PROBABILITY:
-            self._resting = int(self._rng.integers(1, _MOST_REST_STEPS, endpoint=True))
-        if self._resting > 0:
+            self._resting = int(self._rng.integers(_MOST_REST_STEPS))
+        if self._resting >= 0:
             return NO_OP
         x, y, heading = self._world.pose
         to_x, to_y = self._aim()

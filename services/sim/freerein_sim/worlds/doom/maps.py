@@ -145,9 +145,9 @@ def _paths(*routes: tuple[int, int]) -> Mapping[str, tuple[int, int]]:
     return {f"path-{number}": route for number, route in enumerate(routes, 1)}
 
 
-_ROUTES_A = _paths((10, 26), (26, 17), (15, 22), (24, 13), (17, 15))
-_ROUTES_V1 = _paths((26, 10), (13, 24), (22, 15), (24, 11), (15, 17))
-_ROUTES_B = _paths((10, 17), (17, 12), (12, 13), (14, 11), (11, 16))
+_ROUTES_A = _paths((10, 26), (26, 14), (15, 22), (24, 13), (24, 10))
+_ROUTES_V1 = _paths((26, 10), (13, 24), (22, 15), (14, 26), (10, 24))
+_ROUTES_B = _paths((10, 17), (17, 12), (12, 16), (17, 11), (11, 16))
 
 A = DoomMap(_SPOTS_A, _ROUTES_A)
 A_V1 = DoomMap(_SPOTS_A, _ROUTES_V1, textures=tuple(_V1))

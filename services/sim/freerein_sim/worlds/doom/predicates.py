@@ -8,7 +8,7 @@ from freerein_sim.worlds.doom.maps import DoomMap
 from freerein_sim.worlds.doom.textmap import Point
 from freerein_sim.worlds.predicates import AT_LANDMARK, Flags, StatePredicate, States
 
-ARRIVED_UNITS = 32.0
+ARRIVED_UNITS = 40.0
 """Distance from the end of a path within which it has been walked."""
 
 _LANDMARK_UNITS = 48.0
