@@ -12,8 +12,8 @@ _BLOCKS = tuple(
 )
 
 TASKS = (
-    *("bins", "bins.uneven", "blocks", "blocks.scatter", "dial", "dial.uneven", "grid", "grid-no-indicator"),
-    *("pendulum", "tabletop", "tabletop.only-own-objects", *_BLOCKS),
+    *("bins", "bins.uneven", "blocks", "blocks.scatter", "dial", "dial.uneven", "doom", "doom.b", "doom.v1", "doom.v2"),
+    *("grid", "grid-no-indicator", "pendulum", "tabletop", "tabletop.only-own-objects", *_BLOCKS),
 )
 """The tasks that come with freerein."""
 

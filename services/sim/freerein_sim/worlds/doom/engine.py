@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -99,9 +100,7 @@ class Engine:
             self._game.send_game_command(f"warp {place[0]} {place[1]}")
             self._game.make_action([0, 0, 0, (turn + 180) % 360 - 180], 1)
             self._game.make_action([0, 0, 0, 0], 1)
-        observation = self._observe()
-        assert observation is not None
-        return observation
+        return _observation(self._game.get_state())
 
     def act(self, choice: int) -> Observation | None:
         """Holds a choice for one control step; returns None where that ended the episode.
@@ -111,23 +110,20 @@ class Engine:
         """
         with self._alive():
             self._game.make_action(_ACTIONS[choice], TICS)
-        return self._observe()
+        state = self._game.get_state()
+        return None if state is None else _observation(state)
 
     def close(self) -> None:
         """Ends the engine, and removes its folder; may be called twice."""
         with contextlib.suppress(*_FAILURES):
             self._game.close()
-        if self._guard.poll() is None:
-            with contextlib.suppress(BrokenPipeError):
-                self._guard.communicate("closed")
-
-    def _observe(self) -> Observation | None:
-        state = self._game.get_state()
-        return state and Observation(state.screen_buffer, np.asarray(state.game_variables, np.float64))
+        if not cast(TextIO, self._guard.stdin).closed:
+            self._guard.communicate("closed")
 
     def _start(self, map_file: bytes) -> None:
-        assert self._guard.stdout is not None
-        folder = Path(self._guard.stdout.readline().rstrip("\n"))
+        folder = Path(cast(TextIO, self._guard.stdout).readline().rstrip("\n"))
+        if not folder.is_absolute():
+            raise OSError("there is no temporary folder")
         wad = folder / "map.wad"
         wad.write_bytes(map_file)
         game = self._game
@@ -158,3 +154,7 @@ class Engine:
             raise WorkerLost(
                 "The engine of this world has ended; its session has ended, too.", hint="Create the session anew."
             ) from None
+
+
+def _observation(state: vizdoom.GameState) -> Observation:
+    return Observation(state.screen_buffer, np.asarray(state.game_variables, np.float64))

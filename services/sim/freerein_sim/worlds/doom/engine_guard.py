@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-_PROCESSES, _SHARED_MEMORY = Path("/proc"), Path("/dev/shm")
+_PROCESSES, _SHARED_MEMORY = Path("/proc"), Path("/dev/shm")  # noqa: S108 the engine's own place
 _NAMES = "ViZDoom*"
 _DEATH_S, _PAUSE_S = 5.0, 0.01
 
@@ -45,7 +45,7 @@ def _kill_all_in(folder: str) -> None:
 def _processes_in(folder: str) -> Iterator[int]:
     for process in _PROCESSES.glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            if os.readlink(process / "cwd") == folder:
+            if str((process / "cwd").readlink()) == folder:
                 yield int(process.name)
 
 

@@ -26,7 +26,7 @@ _PATIENCE_STEPS = 20
 
 
 class PathExpert:
-    """Walks to the end of a path from wherever it is; without a skill, of the episode's path, or of one that it draws."""
+    """Walks to the end of a path from wherever it is; without a skill, of the episode's path, or of one it draws."""
 
     def __init__(self, world: DoomWorld, skills: Sequence[str], rng: np.random.Generator) -> None:
         self._world = world

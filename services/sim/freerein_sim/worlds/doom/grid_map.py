@@ -76,7 +76,7 @@ class GridMap:
                     places = [place for place, *_ in cells]
                     if zone in (SOLID, beyond) or (beyond != SOLID and side in ("north", "west")):
                         continue  # no line, or the one that the neighbour yields
-                    yield self._edge(side, lane, places[0], places[-1] + 1, zone, beyond)
+                    yield _Edge(*self._corners(side, lane, places[0], places[-1] + 1), zone, beyond)
 
     def _lane(self, side: str, lane: int) -> Iterator[tuple[int, str, str]]:
         """Yields the cells of a row, or of a column: where, the zone, and the one beyond that side."""
@@ -89,21 +89,21 @@ class GridMap:
         inside = 0 <= row < len(self.rows) and 0 <= column < len(self.rows[0])
         return self.rows[row][column] if inside else SOLID
 
-    def _edge(self, side: str, lane: int, begin: int, end: int, zone: str, beyond: str) -> "_Edge":
-        """Returns the line of a run of cells; the zone is to its right, as in Doom."""
+    def _corners(self, side: str, lane: int, begin: int, end: int) -> tuple[Point, Point]:
+        """Returns the ends of the line at a side of a run of cells; they are to its right, as in Doom."""
         far = lane + (side in ("south", "east"))
         if side in ("north", "south"):
             west, east = ((place * self.cell_units, -far * self.cell_units) for place in (begin, end))
-            return _Edge(west, east, zone, beyond) if side == "north" else _Edge(east, west, zone, beyond)
+            return (west, east) if side == "north" else (east, west)
         north, south = ((far * self.cell_units, -place * self.cell_units) for place in (begin, end))
-        return _Edge(north, south, zone, beyond) if side == "east" else _Edge(south, north, zone, beyond)
+        return (north, south) if side == "east" else (south, north)
 
 
 @dataclass(frozen=True)
 class _Edge:
     """A line between two corners, its zone, and what is beyond."""
 
-    begin: tuple[int, int]
-    end: tuple[int, int]
+    begin: Point
+    end: Point
     zone: str
     beyond: str

@@ -60,8 +60,8 @@ _TEXTURES_A = (
     "TLITE6_1",
     "FLAT1_1",  # floors and ceilings
 )
-_V1 = "BRICK12 METAL1 GRAY7 TEKWALL4 WOOD6 ROCK5 PIPE1 MARBLE1 PANBOOK RROCK16".split()
-_V2 = "STONE2 SPACEW4 TANROCK2 SK_LEFT STARG3 WOOD1 PLANET1 SUPPORT2 GRAYVINE RROCK11".split()
+_V1 = ("BRICK12", "METAL1", "GRAY7", "TEKWALL4", "WOOD6", "ROCK5", "PIPE1", "MARBLE1", "PANBOOK", "RROCK16")
+_V2 = ("STONE2", "SPACEW4", "TANROCK2", "SK_LEFT", "STARG3", "WOOD1", "PLANET1", "SUPPORT2", "GRAYVINE", "RROCK11")
 
 GRID_B = GridMap(
     rows=(
@@ -150,8 +150,8 @@ _ROUTES_V1 = _paths((26, 10), (13, 24), (22, 15), (14, 26), (10, 24))
 _ROUTES_B = _paths((10, 17), (17, 12), (12, 16), (17, 11), (11, 16))
 
 A = DoomMap(_SPOTS_A, _ROUTES_A)
-A_V1 = DoomMap(_SPOTS_A, _ROUTES_V1, textures=tuple(_V1))
-A_V2 = DoomMap(_SPOTS_A, _ROUTES_A, textures=tuple(_V2))
+A_V1 = DoomMap(_SPOTS_A, _ROUTES_V1, textures=_V1)
+A_V2 = DoomMap(_SPOTS_A, _ROUTES_A, textures=_V2)
 B = DoomMap(GRID_B.spots(), _ROUTES_B, grid=GRID_B)
 
 

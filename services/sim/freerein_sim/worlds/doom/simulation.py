@@ -78,7 +78,7 @@ class DoomWorld:
 
     @property
     def pose(self) -> npt.NDArray[np.float64]:
-        """x and y in map units, and heading in degrees: float64 (3,)."""
+        """Place in map units and heading in degrees: float64 (3,), x, y, heading."""
         return self._now().pose
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
