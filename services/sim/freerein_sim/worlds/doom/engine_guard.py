@@ -23,8 +23,8 @@ def main() -> None:
     """Writes the folder's name, waits for the end of the worker, and clears up."""
     began = time.time()
     folder = tempfile.mkdtemp(prefix="freerein-doom-")
-    sys.stdout.write(f"{folder}\n")
-    sys.stdout.flush()
+    with contextlib.suppress(BrokenPipeError):  # the worker may have ended before
+        os.write(sys.stdout.fileno(), f"{folder}\n".encode())
     is_closed = bool(sys.stdin.buffer.read())
     if not is_closed:
         _kill_all_in(folder)
