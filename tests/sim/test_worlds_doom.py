@@ -30,10 +30,10 @@ from freerein_sim.workers import protocol
 from freerein_sim.workers.handler import RequestHandler
 from freerein_sim.workers.worker import Worker
 from freerein_sim.worlds.conformance.rollouts import demonstrate
-from freerein_sim.worlds.doom import TASKS, maps, wad
+from freerein_sim.worlds.doom import TASKS, maps, textmap, wad
 from freerein_sim.worlds.doom.spec import FORWARD, LEFT, NO_OP, RIGHT
 from freerein_sim.worlds.varied_world import build
-from freerein_sim.worlds.world import World
+from freerein_sim.worlds.world import World, expert_of
 
 pytestmark = needs_engine
 BY_NAME = {task.name: task for task in TASKS}
@@ -102,6 +102,8 @@ def test_starts_are_spread_over_spots_and_headings_and_a_condition_keeps_the_roo
 def test_a_recipe_is_one_path(opened: World) -> None:
     with pytest.raises(InvalidInput, match="is one path; got path-1, path-2"):
         opened.reset(np.random.default_rng(0), recipe=["path-1", "path-2"])
+    with pytest.raises(InvalidInput, match="is one path; got path-2, path-1"):
+        expert_of(opened)(["path-2", "path-1"], np.random.default_rng(0))
 
 
 def test_the_expert_walks_little_farther_than_it_must_and_keeps_off_the_vest(opened: World) -> None:
@@ -148,12 +150,12 @@ def test_the_games_own_file_has_every_texture() -> None:
 
 
 def test_spots_are_where_the_map_has_them() -> None:
-    things = [block for block in maps.textmap._blocks(maps.A.text(), "thing") if block["type"] == "9001"]
+    things = [block for block in textmap._blocks(maps.A.text(), "thing") if block["type"] == "9001"]
 
     assert maps.A.spots == {int(each["id"]): (round(float(each["x"])), round(float(each["y"]))) for each in things}
 
 
-@pytest.mark.fault("R6")
+@pytest.mark.fault("M6")
 def test_an_engine_that_was_killed_costs_its_session_alone_and_is_said_in_one_line() -> None:
     with closing(RequestHandler(BY_NAME)) as handler:
         request = CreateSessionRequest("doom", num_envs=1, seed=1, max_episode_steps=525)
@@ -178,7 +180,7 @@ def test_an_engine_that_was_killed_costs_its_session_alone_and_is_said_in_one_li
         handler.handle(StepRequest(other, 1, np.array([[FORWARD]])))
 
 
-@pytest.mark.fault("R6")
+@pytest.mark.fault("M6")
 async def test_a_worker_that_is_killed_leaves_no_engine_no_folder_and_no_shared_memory(fork_worker: StartChild) -> None:
     for is_ready in (False, True) * (25 if os.environ.get("FREEREIN_FUZZ") else 1):
         worker = await Worker.start(fork_worker, stuck_s=60)
@@ -199,7 +201,7 @@ async def test_a_worker_that_is_killed_leaves_no_engine_no_folder_and_no_shared_
         assert all(map(has_ended, running))
 
 
-@pytest.mark.fault("R6")
+@pytest.mark.fault("M6")
 async def test_an_engine_that_hangs_is_killed_with_its_worker(fork_worker: StartChild) -> None:
     worker = await Worker.start(fork_worker, stuck_s=60)
     request = CreateSessionRequest("doom", num_envs=1, seed=1, max_episode_steps=525)

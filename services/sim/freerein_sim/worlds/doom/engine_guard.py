@@ -21,14 +21,13 @@ _DEATH_S, _PAUSE_S = 5.0, 0.01
 
 def main() -> None:
     """Writes the folder's name, waits for the end of the worker, and clears up."""
-    began = time.time()
-    folder = tempfile.mkdtemp(prefix="freerein-doom-")
+    folder = str(Path(tempfile.mkdtemp(prefix="freerein-doom-")).resolve())
     with contextlib.suppress(BrokenPipeError):  # the worker may have ended before
         os.write(sys.stdout.fileno(), f"{folder}\n".encode())
     is_closed = bool(sys.stdin.buffer.read())
     if not is_closed:
         _kill_all_in(folder)
-        _remove_shared_memory(since=began)
+        _remove_shared_memory()
     shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -49,11 +48,11 @@ def _processes_in(folder: str) -> Iterator[int]:
                 yield int(process.name)
 
 
-def _remove_shared_memory(*, since: float) -> None:
-    """Removes what engines have created since a time, and no process maps: an engine that runs maps its own."""
+def _remove_shared_memory() -> None:
+    """Removes what no process maps; that of an engine that runs, or starts, is mapped."""
     for segment in list(_SHARED_MEMORY.glob(_NAMES)):
         with contextlib.suppress(OSError):
-            if segment.stat().st_mtime >= since - 1 and not _is_mapped(segment):
+            if not _is_mapped(segment):
                 segment.unlink()
 
 

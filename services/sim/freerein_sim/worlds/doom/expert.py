@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from freerein_sim.worlds.doom.floor import AHEAD_UNITS, CELL_UNITS, CLEAR_UNITS, Places
-from freerein_sim.worlds.doom.simulation import DoomWorld
+from freerein_sim.worlds.doom.simulation import DoomWorld, check_one_path
 from freerein_sim.worlds.doom.spec import FORWARD, LEFT, NO_OP, RIGHT
 from freerein_sim.worlds.world import LabelledAction, skill_indices
 
@@ -21,6 +21,8 @@ _STRAY_UNITS, _STRAY_EVERY_UNITS = 16.0, 64.0
 
 _SMOOTHED = 9
 _REST_PROBABILITY, _MOST_REST_STEPS = 0.15, 3
+"""How often it rests before an action, and how long at most."""
+
 _PATIENCE_STEPS = 20
 """Steps without progress after which it plans anew."""
 
@@ -29,6 +31,7 @@ class PathExpert:
     """Walks to the end of a path from wherever it is; without a skill, of the episode's path, or of one it draws."""
 
     def __init__(self, world: DoomWorld, skills: Sequence[str], rng: np.random.Generator) -> None:
+        check_one_path(skills)
         self._world = world
         self._floor = world.floor
         self._rng = rng
@@ -37,7 +40,8 @@ class PathExpert:
         self._end = np.array(world.map.ends(paths[0])[1], np.float64)
         self._turning = rng.uniform(*_TURNING_DEGREES)
         self._resting = -1
-        self._plan()
+        self._passed = self._without_progress = 0
+        self._way = self._plan()
 
     def act(self) -> LabelledAction | None:
         """Returns the next action; None at the end of the path."""
@@ -69,14 +73,14 @@ class PathExpert:
         self._passed += nearest
         self._without_progress = 0 if nearest else self._without_progress + 1
         if self._without_progress > _PATIENCE_STEPS:
-            self._plan()
+            self._passed = self._without_progress = 0
+            self._way = self._plan()
         return self._way[min(self._passed + round(AHEAD_UNITS / CELL_UNITS), len(self._way) - 1)]
 
-    def _plan(self) -> None:
+    def _plan(self) -> Places:
         """Draws a way from where it is to the end."""
         way = self._floor.way(self._world.pose[:2].copy(), self._end)
-        self._way = _smoothed(self._strayed(_smoothed(way)))
-        self._passed = self._without_progress = 0
+        return _smoothed(self._strayed(_smoothed(way)))
 
     def _strayed(self, way: Places) -> Places:
         """Returns the way moved to its sides, where there is room; its ends stay."""

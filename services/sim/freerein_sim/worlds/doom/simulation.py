@@ -89,7 +89,8 @@ class DoomWorld:
             WorkerLost: The engine has ended.
         """
         skill_indices(self.spec, recipe)
-        self._check_recipe(recipe)
+        check_one_path(recipe)
+        self._check_start(recipe)
         spot, heading = int(rng.choice(list(self.map.spots))), float(rng.uniform(0, 360))
         if self._start_spot is not None:
             spot = self._start_spot
@@ -137,13 +138,7 @@ class DoomWorld:
             raise _not_begun()
         return self._seen
 
-    def _check_recipe(self, recipe: Sequence[str]) -> None:
-        if len(recipe) > 1:
-            raise InvalidInput(
-                f"A recipe of this world is one path; got {', '.join(recipe)}.",
-                field="skills",
-                hint="Leave the recipe out to begin anywhere.",
-            )
+    def _check_start(self, recipe: Sequence[str]) -> None:
         if recipe and self._start_spot is not None:
             raise InvalidInput(
                 f"An episode with a path begins where that does; got {recipe[0]} and a condition of the group `start`.",
@@ -157,6 +152,16 @@ class DoomWorld:
         way = self.floor.way(begin, end)
         x, y = way[min(round(AHEAD_UNITS / CELL_UNITS), len(way) - 1)] - begin
         return math.degrees(math.atan2(y, x)) % 360
+
+
+def check_one_path(recipe: Sequence[str]) -> None:
+    """Raises InvalidInput for a recipe of several paths."""
+    if len(recipe) > 1:
+        raise InvalidInput(
+            f"A recipe of this world is one path; got {', '.join(recipe)}.",
+            field="skills",
+            hint="Leave the recipe out to begin anywhere.",
+        )
 
 
 def _not_begun() -> FailedPrecondition:
