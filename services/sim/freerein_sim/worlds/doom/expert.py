@@ -75,7 +75,7 @@ class PathExpert:
         if self._without_progress > _PATIENCE_STEPS:
             self._passed = self._without_progress = 0
             self._way = self._plan()
-        return self._way[min(self._passed + round(AHEAD_UNITS / CELL_UNITS), len(self._way) - 1)]
+        return np.asarray(self._way[min(self._passed + round(AHEAD_UNITS / CELL_UNITS), len(self._way) - 1)])
 
     def _plan(self) -> Places:
         """Draws a way from where it is to the end."""
