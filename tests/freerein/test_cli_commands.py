@@ -1,5 +1,6 @@
 """Commands as a user types them: their help, their JSON, their errors."""
 
+import importlib.util
 import json
 import socket
 import subprocess
@@ -186,6 +187,7 @@ def test_the_doctor_finds_the_wheels_that_are_data() -> None:
         ("pendulum model", "ok"),
         ("robot arm", "ok"),
         ("robots", "ok"),
+        ("engine", "ok" if importlib.util.find_spec("vizdoom") else "warning"),
         ("text encoder", "ok"),
     ]
 

@@ -8,6 +8,7 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
+from tests.engine import skip_without_engine
 
 from freerein.fork_server import ForkServer, StartChild
 from freerein_sim.worlds.varied_world import build
@@ -20,12 +21,14 @@ KeepOpen = Callable[..., None]
 def keep_open() -> Iterator[KeepOpen]:
     """A function that keeps a world of a task open until the session ends, under conditions or none.
 
-    Worlds of one scene share its OpenGL context, which takes up to 0.4 s of CPU time to make.
+    Worlds of one scene share its OpenGL context, which takes up to 0.4 s of CPU time to make. Skips where the world's
+    engine is not installed.
     """
     with ExitStack() as opened:
         kept: set[tuple[str, ...]] = set()
 
         def keep(task: TaskDefinition, *conditions: str) -> None:
+            skip_without_engine(task)
             if (task.name, *conditions) not in kept:
                 kept.add((task.name, *conditions))
                 world, camera = opened.enter_context(closing(build(task, conditions))), task.spec.cameras[0]

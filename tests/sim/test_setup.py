@@ -19,7 +19,7 @@ exec {sys.executable} "$@"
 def tree(tmp_path: Path) -> Path:
     """A tree with tools/setup, and programs that it must not really run."""
     projects = ("pyproject.toml", "src/pyproject.toml", "services/sim/pyproject.toml")
-    for name in ("tools/setup", "constraints.txt", "assets.txt", "assets-robots.txt", *projects):
+    for name in ("tools/setup", "constraints.txt", "assets.txt", "assets-robots.txt", "assets-doom.txt", *projects):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
     (tmp_path / "bin").mkdir()

@@ -17,11 +17,17 @@ from freerein_sim.worlds.world import LabelledAction, TaskDefinition, WorldSpec,
 
 REPLAYED = replace(grid.TASKS[0], name="replayed", make=lambda: ReplayedWorld(grid.GridWorld(indicator=True)))
 OURS = tuple(tasks().values())
-TASKS = {
-    task.name: replace(task, own_conditions=LIGHT_CONDITIONS[:1]) if task.own_conditions == LIGHT_CONDITIONS else task
-    for task in (*OURS, REPLAYED)
-}
-"""Tasks that have nothing but lights are tried under one of them: all worlds dim them alike."""
+
+
+def _with_few_conditions(task: TaskDefinition) -> TaskDefinition:
+    """Returns the task with one of its lights if it has no other conditions, and with one of its rooms, in `doom`."""
+    if task.own_conditions == LIGHT_CONDITIONS:
+        return replace(task, own_conditions=LIGHT_CONDITIONS[:1])
+    return replace(task, own_conditions=task.own_conditions[-2:]) if task.world == "doom" else task
+
+
+TASKS = {task.name: _with_few_conditions(task) for task in (*OURS, REPLAYED)}
+"""All worlds dim their lights alike, and the rooms of one map differ in where they are."""
 
 CHECKED = sorted({"replayed", "blocks.blue-on-top-of-red", *(task.world for task in OURS)})
 VARIANTS = ("grid-no-indicator", "blocks.scatter", "push.scatter", "dial.uneven", "bins.uneven")

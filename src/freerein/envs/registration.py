@@ -10,8 +10,9 @@ _BLOCKS = tuple(f"blocks.{first}-{relation}-{second}" for first, second in _PAIR
 _PUSH = tuple(f"push.{first}-close-to-{second}" for first, second in _PAIRS if (first, second) != ("blue", "yellow"))
 
 TASKS = (
-    *("bins", "bins.uneven", "blocks", "blocks.scatter", "dial", "dial.uneven", "grid", "grid-no-indicator"),
-    *("pendulum", "push", "push.scatter", "tabletop", "tabletop.only-own-objects", *_BLOCKS, *_PUSH),
+    *("bins", "bins.uneven", "blocks", "blocks.scatter", "dial", "dial.uneven", "doom", "doom.b", "doom.v1", "doom.v2"),
+    *("grid", "grid-no-indicator", "pendulum", "push", "push.scatter", "tabletop", "tabletop.only-own-objects"),
+    *(*_BLOCKS, *_PUSH),
 )
 """The tasks that come with freerein."""
 

