@@ -1,5 +1,7 @@
 """The methods of chapter 2: the dissertation's, its baselines, ours, full supervision."""
 
+from dataclasses import replace
+
 from experiments.segmentation.effects import EFFECTS
 from experiments.segmentation.study import SUPERVISED, Method, context_of
 from freerein.learning.checkpoints import JSON
@@ -36,8 +38,15 @@ def recipe(*, seeds: int) -> tuple[Method, ...]:
 
 
 def recipe_augmented(context: str) -> Method:
-    """Returns the recipe fitted to augmented frames, in a context: what comes with freerein."""
+    """Returns the recipe fitted to augmented frames, in a context."""
     return Method(f"{RECIPE}_augmented", (context,), _RECIPE | {"augmentation": 1.0}, effects=EFFECTS, seeds=1)
+
+
+def ours_augmented(context: str) -> Method:
+    """Returns our method fitted to augmented frames, in a context: what comes with freerein."""
+    return replace(
+        _self_trained(f"{OURS}_augmented", "lse_per_timestep", (context,), augmentation=1.0), effects=EFFECTS, seeds=1
+    )
 
 
 def lse_as_published() -> Method:
