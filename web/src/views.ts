@@ -1,0 +1,14 @@
+/** The views in the order in which people want to see them. All but the first are loaded when they are opened. */
+import type { ComponentType } from "preact";
+import { SegmentsPanel } from "./panels/segments/panel";
+
+export interface View {
+  readonly name: string;
+  readonly title: string;
+  readonly load: () => Promise<ComponentType>;
+}
+
+export const VIEWS: readonly View[] = [
+  { name: "segments", title: "Segments", load: async () => SegmentsPanel },
+  { name: "services", title: "Services", load: async () => (await import("./panels/services/panel")).ServicesPanel },
+];
