@@ -10,5 +10,6 @@ export interface View {
 
 export const VIEWS: readonly View[] = [
   { name: "segments", title: "Segments", load: async () => SegmentsPanel },
+  { name: "runs", title: "Runs and fits", load: async () => (await import("./panels/runs/panel")).RunsPanel },
   { name: "services", title: "Services", load: async () => (await import("./panels/services/panel")).ServicesPanel },
 ];
