@@ -21,6 +21,7 @@ from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest.web_page import WebPage
+from freerein_orchestrator.datasets import DatasetService
 from freerein_orchestrator.kinds import find_kind
 from freerein_orchestrator.kinds.config_schemas import run_config_schema
 from freerein_orchestrator.kinds.policy_store import PolicyStore
@@ -70,16 +71,18 @@ def build(
     )
     resolve_here = partial(resolve, data_dir=settings.data_dir)
     runs = RunService(store, queue, resolve=resolve_here, health=health, check_unused=partial(_check_unused, settings))
+    datasets = DatasetService(settings.data_dir)
     client = make_client(limits, token=settings.token_text, certificate=os.environ.get("FREEREIN_TLS_CERT"))
     passed_on = [PassedOn(service, rest_url(service, os.environ), client) for service in CALLS]
 
     async def close() -> None:
         await runs.close()
+        datasets.close()
         await client.aclose()
 
     return Service(
         name=NAME,
-        methods=methods_of(orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"], runs),
+        methods=methods_of(orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"], runs, datasets),
         start=runs.start,
         close=close,
         not_ready=runs.not_ready,

@@ -278,7 +278,7 @@ class GetFramesRequest:
 
 @dataclass(frozen=True, eq=False)
 class GetFramesResponse:
-    """Frames of consecutive timesteps, WebP with losses; `timesteps` are those of the trajectory."""
+    """Frames of consecutive timesteps, JPEG files; `timesteps` are those of the trajectory."""
 
     frames: tuple[Image, ...]
     first: int

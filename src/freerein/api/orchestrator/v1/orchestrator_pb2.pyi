@@ -1063,7 +1063,7 @@ class GetFramesResponse(_message.Message):
     """Timesteps of the trajectory."""
     @_builtins.property
     def frames(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Image]:
-        """Encoded as WebP, with losses; fewer than asked for at the end of the trajectory."""
+        """JPEG files; fewer than asked for at the end of the trajectory."""
 
     def __init__(
         self,
