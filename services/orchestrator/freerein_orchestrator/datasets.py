@@ -101,13 +101,15 @@ class DatasetService:
         if count > _MOST_FRAMES:
             raise must_be("count", f"at most {_MOST_FRAMES}", count, hint="Ask for several pages.")
         if not _LEAST_SIDE <= side <= _GREATEST_SIDE:
-            raise must_be("max_side", f"{_LEAST_SIDE} to {_GREATEST_SIDE} pixels", side)
+            hint = "Frames are only scaled down; leave it out for a small picture."
+            raise must_be("max_side", f"{_LEAST_SIDE} to {_GREATEST_SIDE} pixels", side, hint=hint)
 
         def frames() -> orchestrator.GetFramesResponse:
             dataset = self._open(request.dataset, request.index)
             timesteps = int(dataset.lengths[request.index])
             if request.first >= timesteps:
-                raise must_be("first", f"below {timesteps}, the trajectory's timesteps", request.first)
+                hint = "Timesteps are counted from 0."
+                raise must_be("first", f"below {timesteps}, the trajectory's timesteps", request.first, hint=hint)
             camera = choose_camera(dataset, request.camera, of_model=next(iter(dataset.spec.cameras)))
             pixels = dataset.frames(request.index, camera, slice(request.first, request.first + count))
             pictures = tuple(_picture(each, camera) for each in _scaled_down(pixels, side))
