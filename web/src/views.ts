@@ -10,6 +10,8 @@ export interface View {
 
 export const VIEWS: readonly View[] = [
   { name: "segments", title: "Segments", load: async () => SegmentsPanel },
+  { name: "policy", title: "Policy", load: async () => (await import("./panels/policy/panel")).PolicyPanel },
+  { name: "reward", title: "Reward", load: async () => (await import("./panels/reward/panel")).RewardPanel },
   { name: "runs", title: "Runs and fits", load: async () => (await import("./panels/runs/panel")).RunsPanel },
   { name: "services", title: "Services", load: async () => (await import("./panels/services/panel")).ServicesPanel },
 ];

@@ -47,6 +47,8 @@ export class TiledFrames implements Frames {
 export class VideoFrames implements Frames {
   readonly width: number;
   readonly height: number;
+  /** In seconds. */
+  readonly duration: number;
   private last: Promise<unknown> = Promise.resolve();
 
   private constructor(
@@ -55,6 +57,7 @@ export class VideoFrames implements Frames {
   ) {
     this.width = video.videoWidth;
     this.height = video.videoHeight;
+    this.duration = video.duration;
   }
 
   /** Returns the frames of a file; null where the browser cannot show them. */
