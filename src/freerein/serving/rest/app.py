@@ -85,18 +85,14 @@ def make_app(
     app = Starlette(routes=[*pages, *routes], exception_handlers={HTTPException: _raise_error})
     app.router.redirect_slashes = False
     app.state.paths = [route.path for route in routes if isinstance(route, Route)]
-    recorders = {
-        method.path: CallRecorder(metrics, "rest", method.name, is_stream=method.is_stream) for method in served
-    }
-    other = CallRecorder(metrics, "rest", OTHER)
     app.add_middleware(
         RequestMiddleware,
         limits=limits,
         memory=memory or Memory(limits),
         token=token,
         origin_policy=origin_policy,
-        recorders=recorders,
-        other=other,
+        recorders={each.path: CallRecorder(metrics, "rest", each.name, is_stream=each.is_stream) for each in served},
+        other=CallRecorder(metrics, "rest", OTHER),
         assets=page.assets if page else None,
         session=session,
     )
