@@ -13,5 +13,6 @@ export const VIEWS: readonly View[] = [
   { name: "policy", title: "Policy", load: async () => (await import("./panels/policy/panel")).PolicyPanel },
   { name: "reward", title: "Reward", load: async () => (await import("./panels/reward/panel")).RewardPanel },
   { name: "runs", title: "Runs and fits", load: async () => (await import("./panels/runs/panel")).RunsPanel },
+  { name: "data", title: "Data and models", load: async () => (await import("./panels/data/panel")).DataPanel },
   { name: "services", title: "Services", load: async () => (await import("./panels/services/panel")).ServicesPanel },
 ];

@@ -120,6 +120,30 @@ export interface CreateSessionResponse {
   lease_s: number;
 }
 
+export interface Dataset {
+  name: string;
+  goal_text: string;
+  cameras: readonly Camera[];
+  fps: number;
+  action: ActionSpec | null;
+  skills: readonly string[];
+  tags: Readonly<Record<string, number>>;
+  trajectories: number;
+  timesteps: number;
+  labelled_by: ModelRef | null;
+  hand_labelled: number;
+  with_truth: number;
+  time_ns: number;
+  error: string;
+}
+
+export interface DatasetProblem {
+  subject: string;
+  detail: string;
+  hint: string;
+  severity: "error" | "warning";
+}
+
 export interface DeleteFitRequest {
   id: string;
 }
@@ -228,6 +252,12 @@ export interface GetFitResponse {
   fit: Fit | null;
 }
 
+export interface GetFramesResponse {
+  frames: readonly Image[];
+  first: number;
+  timesteps: number;
+}
+
 export interface GetMetricsResponse {
   rows: readonly MetricRow[];
   total_rows: number;
@@ -250,6 +280,16 @@ export interface GetSpecResponse {
   reached_threshold: number;
   goal_texts: readonly string[];
   robot_state_size: number;
+}
+
+export interface GetTrajectoryResponse {
+  skills: readonly string[];
+  goal_text: string;
+  timesteps: number;
+  labels: readonly LabelSegment[];
+  hand_labels: readonly LabelSegment[];
+  known_skills: readonly string[];
+  actions: Tensor | readonly unknown[] | null;
 }
 
 export interface Goal {
@@ -290,8 +330,23 @@ export interface Image {
 
 export type JsonValue = unknown;
 
+export interface LabelSegment {
+  start: number;
+  end: number;
+  skill: string;
+}
+
 export interface ListArtifactsResponse {
   artifacts: readonly Artifact[];
+}
+
+export interface ListDatasetProblemsResponse {
+  problems: readonly DatasetProblem[];
+}
+
+export interface ListDatasetsResponse {
+  datasets: readonly Dataset[];
+  next_page_token: string;
 }
 
 export interface ListFitsResponse {
@@ -464,6 +519,16 @@ export interface Run {
   time_ns: number;
 }
 
+export interface SaveLabelsRequest {
+  dataset: string;
+  index: number;
+  segments: readonly LabelSegment[];
+}
+
+export interface SaveLabelsResponse {
+
+}
+
 export interface Segment {
   start: number;
   end: number;
@@ -606,6 +671,11 @@ export interface Calls {
   "orchestrator/resume-run": { request: Sent<ResumeRunRequest>; reply: ResumeRunResponse };
   "orchestrator/delete-run": { request: Sent<DeleteRunRequest>; reply: DeleteRunResponse };
   "orchestrator/list-artifacts": { request: { "id"?: string }; reply: ListArtifactsResponse };
+  "orchestrator/list-datasets": { request: { "page_size"?: number; "page_token"?: string }; reply: ListDatasetsResponse };
+  "orchestrator/list-dataset-problems": { request: { "dataset"?: string }; reply: ListDatasetProblemsResponse };
+  "orchestrator/get-trajectory": { request: { "dataset"?: string; "index"?: number }; reply: GetTrajectoryResponse };
+  "orchestrator/get-frames": { request: { "dataset"?: string; "index"?: number; "camera"?: string; "first"?: number; "count"?: number; "max_side"?: number }; reply: GetFramesResponse };
+  "orchestrator/save-labels": { request: Sent<SaveLabelsRequest>; reply: SaveLabelsResponse };
   "segmentation/segment": { request: Sent<SegmentRequest>; reply: SegmentResponse };
   "segmentation/list-skills": { request: { "model.name"?: string; "model.version"?: string }; reply: ListSkillsResponse };
   "segmentation/start-fit": { request: Sent<StartFitRequest>; reply: StartFitResponse };

@@ -2,6 +2,7 @@
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import { thin, type Points } from "../../curves/thin";
+import { short } from "../../parts/numbers";
 import type { Mark } from "./series";
 
 const HEIGHT = 170;
@@ -147,12 +148,4 @@ function summary({ x, y }: Points): string {
     `${x.length} points to step ${x.at(-1)}, from ${short(y[0])} to ${short(y.at(-1))}; ` +
     `least ${short(y[least])} at step ${x[least]}, greatest ${short(y[greatest])} at step ${x[greatest]}`
   );
-}
-
-/** Returns a number with four digits that count. */
-export function short(value: number | undefined | null): string {
-  if (value === undefined || value === null) return "–";
-  if (value === 0) return "0";
-  const size = Math.abs(value);
-  return size >= 1e5 || size < 1e-3 ? value.toExponential(2) : String(Number(value.toPrecision(4)));
 }

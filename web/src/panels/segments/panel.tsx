@@ -6,6 +6,7 @@ import { Icon } from "../../parts/icon";
 import { Link } from "../../parts/link";
 import { Shown } from "../../parts/notice";
 import { open, query } from "../../url/location";
+import { DatasetSource } from "./dataset";
 import { openDemonstration } from "./demonstration";
 import { Editor } from "./editor";
 import { Stage } from "./picture";
@@ -17,6 +18,7 @@ import { VideoForm } from "./video";
 
 const SOURCES = [
   { name: "demonstration", title: "Demonstration" },
+  { name: "dataset", title: "A dataset" },
   { name: "video", title: "Your video" },
 ];
 
@@ -53,7 +55,8 @@ export function SegmentsPanel() {
         </nav>
       </div>
       {source === "demonstration" && <Demonstration />}
-      {source === "video" && (segmented ? <Viewer recording={segmented} aside={form} /> : <div class="card narrow">{form}</div>)}
+      {source === "dataset" && <DatasetSource>{(recording, picker) => <Viewer recording={recording} aside={picker} asideTitle="Trajectory" />}</DatasetSource>}
+      {source === "video" && (segmented ? <Viewer recording={segmented} aside={form} asideTitle="Segment another video" /> : <div class="card narrow">{form}</div>)}
     </div>
   );
 }
@@ -68,7 +71,7 @@ function Demonstration() {
 }
 
 /** A recording, its labels and what can be done to them. */
-export function Viewer({ recording, aside }: { recording: Recording; aside?: ComponentChildren }) {
+export function Viewer({ recording, aside, asideTitle }: { recording: Recording; aside?: ComponentChildren; asideTitle?: string }) {
   const [editor, setEditor] = useState<Editor | null>(null);
   useEffect(() => {
     const opened = new Editor(recording);
@@ -93,6 +96,12 @@ export function Viewer({ recording, aside }: { recording: Recording; aside?: Com
         <Transport editor={editor} />
       </section>
       <aside class="viewer-side" aria-label="Labels">
+        {aside && (
+          <details class="aside" open={recording.saved !== null}>
+            <summary>{asideTitle}</summary>
+            {aside}
+          </details>
+        )}
         <h2>
           Labels <span class="faint">by {editor.isChanged ? "you and " : ""}{recording.labelledBy}</span>
         </h2>
@@ -109,12 +118,6 @@ export function Viewer({ recording, aside }: { recording: Recording; aside?: Com
           </button>
         </div>
         <TakeAway editor={editor} />
-        {aside && (
-          <details>
-            <summary>Segment another video</summary>
-            {aside}
-          </details>
-        )}
         <details class="keys">
           <summary>Keys on the skill bar</summary>
           <dl id="timeline-keys">

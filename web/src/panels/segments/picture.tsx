@@ -6,6 +6,8 @@ import type { Frames } from "./frames";
 import { UNFAMILIAR } from "./recording";
 
 const THUMBNAIL_HEIGHT = 54;
+/** Below it pixels are drawn as squares: smoothed, they say less. */
+const COARSE_WIDTH = 60;
 
 /** The frame of the timestep, and what it is labelled with. */
 export function Stage({ editor }: { editor: Editor }) {
@@ -25,6 +27,7 @@ export function Stage({ editor }: { editor: Editor }) {
       {recording.frames ? (
         <canvas
           ref={canvas}
+          class={recording.frames.width < COARSE_WIDTH ? "coarse" : ""}
           role="img"
           aria-label={`Frame ${editor.timestep.value} of ${recording.timesteps}`}
           width={recording.frames.width}

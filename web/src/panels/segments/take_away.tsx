@@ -1,5 +1,10 @@
 /** Labels as files, and as labels of a dataset. */
+import { useState } from "preact/hooks";
+import { call } from "../../api/client";
+import { asProblem, type Problem } from "../../api/problem";
+import { Failed } from "../../parts/notice";
 import { saveFile } from "../../parts/save_file";
+import { say } from "../../parts/say";
 import type { Editor } from "./editor";
 import { csv, webVtt } from "./export";
 import { timeOf } from "./recording";
@@ -10,13 +15,42 @@ export function TakeAway({ editor }: { editor: Editor }) {
   const asVtt = (): void => saveFile(`${name}.vtt`, webVtt(editor.segments, (each) => timeOf(recording, each)), "text/vtt");
   const asCsv = (): void => saveFile(`${name}.csv`, csv(editor.segments, recording.saved?.index ?? 0), "text/csv");
   return (
-    <div class="buttons">
-      <button type="button" onClick={asVtt}>
-        Save WebVTT
+    <>
+      <div class="buttons">
+        <button type="button" onClick={asVtt}>
+          Save WebVTT
+        </button>
+        <button type="button" onClick={asCsv}>
+          Save CSV
+        </button>
+      </div>
+      {recording.saved && <SaveLabels editor={editor} saved={recording.saved} />}
+    </>
+  );
+}
+
+function SaveLabels({ editor, saved }: { editor: Editor; saved: { dataset: string; index: number } }) {
+  const [problem, setProblem] = useState<Problem | null>(null);
+  const [savedSegments, setSaved] = useState<unknown>(null);
+  const isSaved = savedSegments === editor.segments;
+  const save = async (): Promise<void> => {
+    setProblem(null);
+    const segments = editor.segments;
+    try {
+      await call("orchestrator/save-labels", { ...saved, segments: segments.map(({ start, end, skill }) => ({ start, end, skill })) });
+      setSaved(segments);
+      say("Labels saved");
+    } catch (error) {
+      setProblem(asProblem(error));
+    }
+  };
+  return (
+    <>
+      <button type="button" class="main-action" disabled={isSaved} onClick={() => void save()}>
+        {isSaved ? "Saved" : `Save as labels of ${saved.dataset}`}
       </button>
-      <button type="button" onClick={asCsv}>
-        Save CSV
-      </button>
-    </div>
+      <p class="faint">Labels by a person measure how well a model labels; no fit learns from them.</p>
+      {problem && <Failed problem={problem} />}
+    </>
   );
 }
