@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from freerein.errors import InvalidInput
 
 _MAX_PORT = 65535
-_HOST = re.compile(r"[^\s/:\[\]]+|\[[0-9a-fA-F:.%\w]+\]")
+_HOST = re.compile(r"[^\s/:@?#\[\]]+|\[[0-9a-fA-F:.%\w]+\]")
 _URL = re.compile(rf"https?://({_HOST.pattern}):(?P<port>[0-9]{{1,5}})")
 
 

@@ -101,7 +101,7 @@ def _display(*, as_json: bool) -> Iterator[_Show]:
     def show_changes(statuses: tuple["ServiceStatus", ...]) -> None:
         lines = {each.service: json.dumps(asdict(each)) if as_json else _line(each) for each in statuses}
         if not as_json:
-            lines["page"] = _page_line(statuses)
+            lines["page"] = page_line(statuses)
         for name, line in lines.items():
             if line and shown.get(name) != line:
                 typer.echo(line)
@@ -115,7 +115,7 @@ def _line(status: ServiceStatus) -> str:
     return f"{status.service:<13} {status.state:<13} {detail}".rstrip()
 
 
-def _page_line(statuses: tuple["ServiceStatus", ...]) -> str:
+def page_line(statuses: tuple["ServiceStatus", ...]) -> str:
     """Returns where the web page is; empty while a service starts, or without the orchestrator, which has it."""
     url = next((each.rest_url for each in statuses if (each.service, each.state) == ("orchestrator", "ready")), "")
     has_started = all(each.state == "ready" or each.has_failed for each in statuses)
@@ -123,7 +123,7 @@ def _page_line(statuses: tuple["ServiceStatus", ...]) -> str:
 
 
 def _table(statuses: tuple["ServiceStatus", ...]) -> Table:
-    caption = "\n".join(filter(None, ["Ctrl-C stops all services", _page_line(statuses)]))
+    caption = "\n".join(filter(None, ["Ctrl-C stops all services", page_line(statuses)]))
     table = Table("service", "state", "REST", "gRPC", "restarts", "", caption=caption, box=None)
     for status in statuses:
         colour = _COLOURS.get(status.state, "yellow")
