@@ -54,7 +54,10 @@ test("whatever is edited, segments cover every timestep once, and undo goes back
 
 test("a timestep is found in its segment, at its beginning too", () => {
   const { segments } = edit.editing(SEGMENTS, 10);
-  assert.deepEqual([0, 3, 4, 6, 9].map((timestep) => edit.indexAt(segments, timestep)), [0, 0, 1, 2, 3]);
+  assert.deepEqual(
+    [0, 3, 4, 6, 9].map((timestep) => edit.indexAt(segments, timestep)),
+    [0, 0, 1, 2, 3],
+  );
 });
 
 test("a drag is undone as one edit", () => {

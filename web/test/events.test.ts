@@ -11,8 +11,14 @@ test("events are the same however the stream is cut into pieces", () => {
   ];
   for (let size = 1; size <= STREAM.length; size += 1) {
     const parser = new EventParser();
-    const pieces = Array.from({ length: Math.ceil(STREAM.length / size) }, (_, i) => STREAM.slice(i * size, (i + 1) * size));
-    assert.deepEqual(pieces.flatMap((piece) => parser.push(piece)), expected, `pieces of ${size}`);
+    const pieces = Array.from({ length: Math.ceil(STREAM.length / size) }, (_, i) =>
+      STREAM.slice(i * size, (i + 1) * size),
+    );
+    assert.deepEqual(
+      pieces.flatMap((piece) => parser.push(piece)),
+      expected,
+      `pieces of ${size}`,
+    );
   }
 });
 

@@ -12,5 +12,8 @@ test("unknown words are marked wherever they stand, and no letter is lost", () =
   const text = "Put the Sponge on <b>, the sponge!";
   const parts = markUnknown(text, ["sponge"]);
   assert.equal(parts.map((each) => each.text).join(""), text);
-  assert.deepEqual(parts.filter((each) => each.isUnknown).map((each) => each.text), ["Sponge", "sponge"]);
+  assert.deepEqual(
+    parts.filter((each) => each.isUnknown).map((each) => each.text),
+    ["Sponge", "sponge"],
+  );
 });

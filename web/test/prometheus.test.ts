@@ -14,7 +14,10 @@ queued 3
 test("samples are summed by their labels", () => {
   const samples = parseMetrics(TEXT);
   assert.equal(sum(samples, "calls_total"), 10);
-  assert.equal(sum(samples, "calls_total", (labels) => labels.code === "overloaded"), 2);
+  assert.equal(
+    sum(samples, "calls_total", (labels) => labels.code === "overloaded"),
+    2,
+  );
   assert.equal(sum(samples, "queued"), 3);
 });
 

@@ -36,5 +36,8 @@ test("what saw the truth is known, also within a pipeline", () => {
   const ppo = { kind: "ppo", config: { reward: "learned" } };
   assert.equal(truthSeen(ppo), "");
   assert.match(truthSeen({ kind: "ppo", config: { reward: "oracle" } }), /privileged/);
-  assert.match(truthSeen({ kind: "pipeline", config: { steps: [ppo, { kind: "evaluate", config: {} }] } }), /true states/);
+  assert.match(
+    truthSeen({ kind: "pipeline", config: { steps: [ppo, { kind: "evaluate", config: {} }] } }),
+    /true states/,
+  );
 });

@@ -25,7 +25,10 @@ const finish = {
       const icon = hashed("icon", ".svg", readFileSync(join(web, "src/icon.svg")));
       const names = { SCRIPT: basename(entry[0]), STYLE: basename(entry[1].cssBundle), ICON: icon };
       const html = readFileSync(join(web, "src/index.html"), "utf8");
-      writeFileSync(join(folder, "index.html"), html.replace(/\{(\w+)\}/g, (_, key) => names[key]));
+      writeFileSync(
+        join(folder, "index.html"),
+        html.replace(/\{(\w+)\}/g, (_, key) => names[key]),
+      );
       writeFileSync(join(folder, "licences.txt"), BUNDLED.map(licence).join("\n\n"));
     });
   },

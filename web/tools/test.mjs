@@ -7,8 +7,17 @@ import { buildSync } from "esbuild";
 
 const tests = resolve(import.meta.dirname, "../test");
 const folder = mkdtempSync(join(tmpdir(), "freerein-web-"));
-const entryPoints = readdirSync(tests).filter((name) => name.endsWith(".test.ts")).map((name) => join(tests, name));
-buildSync({ entryPoints, outdir: folder, bundle: true, platform: "node", format: "esm", outExtension: { ".js": ".mjs" } });
+const entryPoints = readdirSync(tests)
+  .filter((name) => name.endsWith(".test.ts"))
+  .map((name) => join(tests, name));
+buildSync({
+  entryPoints,
+  outdir: folder,
+  bundle: true,
+  platform: "node",
+  format: "esm",
+  outExtension: { ".js": ".mjs" },
+});
 const built = readdirSync(folder).map((name) => join(folder, name));
 const { status } = spawnSync(process.execPath, ["--test", ...built], { stdio: "inherit" });
 rmSync(folder, { recursive: true });

@@ -32,7 +32,9 @@ function addCall(service, path, methods) {
 }
 
 function queryType(parameters) {
-  const fields = parameters.filter((each) => each.in === "query").map((each) => `"${each.name}"?: ${typeOf(each.schema, 1)}`);
+  const fields = parameters
+    .filter((each) => each.in === "query")
+    .map((each) => `"${each.name}"?: ${typeOf(each.schema, 1)}`);
   return fields.length > 0 ? `{ ${fields.join("; ")} }` : "Record<string, never>";
 }
 
@@ -55,7 +57,9 @@ function listOf(type) {
 /** Every field of a reply is there; `Sent` makes those of requests optional. */
 function objectType(schema, depth) {
   const indent = "  ".repeat(depth + 1);
-  const fields = Object.entries(schema.properties).map(([name, each]) => `${indent}${name}: ${typeOf(each, depth + 1)};`);
+  const fields = Object.entries(schema.properties).map(
+    ([name, each]) => `${indent}${name}: ${typeOf(each, depth + 1)};`,
+  );
   return `{\n${fields.join("\n")}\n${"  ".repeat(depth)}}`;
 }
 

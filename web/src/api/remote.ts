@@ -14,7 +14,11 @@ const RETRY_MS = 3000;
  * @param moment A number; when it changes the value is loaded again, and the last one stays until then.
  * @returns The value, and a function that loads it again.
  */
-export function useRemote<T>(load: (signal: AbortSignal) => Promise<T>, key: string, moment = 0): [Remote<T>, () => void] {
+export function useRemote<T>(
+  load: (signal: AbortSignal) => Promise<T>,
+  key: string,
+  moment = 0,
+): [Remote<T>, () => void] {
   const [remote, setRemote] = useState<Remote<T>>({ state: "loading" });
   const [turn, setTurn] = useState(0);
   const loaded = useRef(key);

@@ -54,7 +54,17 @@ function Grid({ fields, texts, errors, onText }: FieldsProps) {
   );
 }
 
-function Input({ field, text, isBad, onText }: { field: Field; text: string; isBad: boolean; onText: (text: string) => void }) {
+function Input({
+  field,
+  text,
+  isBad,
+  onText,
+}: {
+  field: Field;
+  text: string;
+  isBad: boolean;
+  onText: (text: string) => void;
+}) {
   const shared = { id: `field-${field.key}`, "aria-describedby": `meaning-${field.key}`, "aria-invalid": isBad };
   if (field.kind === "boolean" || field.kind === "choice") {
     const choices = field.kind === "boolean" ? ["true", "false"] : field.choices;
@@ -69,9 +79,26 @@ function Input({ field, text, isBad, onText }: { field: Field; text: string; isB
   const mode = field.kind === "integer" ? "numeric" : field.kind === "number" ? "decimal" : "text";
   const hint = field.kind === "list" ? "a, b, c" : field.kind === "json" ? "{ }" : "";
   if (field.kind === "json") {
-    return <textarea {...shared} rows={2} value={text} placeholder={hint} onInput={(event) => onText(event.currentTarget.value)} />;
+    return (
+      <textarea
+        {...shared}
+        rows={2}
+        value={text}
+        placeholder={hint}
+        onInput={(event) => onText(event.currentTarget.value)}
+      />
+    );
   }
-  return <input {...shared} inputMode={mode} value={text} placeholder={hint} onInput={(event) => onText(event.currentTarget.value)} />;
+  return (
+    <input
+      {...shared}
+      list={`names-${field.key}`}
+      inputMode={mode}
+      value={text}
+      placeholder={hint}
+      onInput={(event) => onText(event.currentTarget.value)}
+    />
+  );
 }
 
 /** Words of docstrings without their code marks. */

@@ -88,7 +88,8 @@ function boundsOf(bounded: Schema, schema: Schema): string {
 /** Returns a value as the text of an input. */
 export function textOf(value: unknown): string {
   if (typeof value === "string") return value;
-  if (Array.isArray(value) && value.every((each) => typeof each === "string" && !/[,"]/.test(each))) return value.join(", ");
+  if (Array.isArray(value) && value.every((each) => typeof each === "string" && !/[,"]/.test(each)))
+    return value.join(", ");
   return JSON.stringify(value);
 }
 
@@ -96,7 +97,8 @@ export function textOf(value: unknown): string {
 export function parseField(field: Field, text: string): Parsed {
   const trimmed = text.trim();
   if (trimmed === "" && field.needed) return { error: `${field.key} is needed.` };
-  if (trimmed === "" && field.kind !== "text" && field.kind !== "list") return parseField(field, field.initial || "null");
+  if (trimmed === "" && field.kind !== "text" && field.kind !== "list")
+    return parseField(field, field.initial || "null");
   if (field.kind === "integer" || field.kind === "number") return parseNumber(field, trimmed);
   if (field.kind === "boolean") return { value: trimmed === "true" };
   if (field.kind === "list") return { value: trimmed === "" ? [] : trimmed.split(",").map((each) => each.trim()) };

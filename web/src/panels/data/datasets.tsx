@@ -11,14 +11,17 @@ const STRIP = 4;
 const STRIP_SIDE = 160;
 
 export function Datasets() {
-  const [remote, retry] = useRemote(async (signal) => (await call("orchestrator/list-datasets", { page_size: 1000 }, { signal })).datasets, "datasets");
+  const [remote, retry] = useRemote(
+    async (signal) => (await call("orchestrator/list-datasets", { page_size: 1000 }, { signal })).datasets,
+    "datasets",
+  );
   return (
     <Shown remote={remote} what="the datasets" retry={retry}>
       {(datasets) =>
         datasets.length === 0 ? (
           <Empty title="No datasets yet">
-            <Link to={{ view: "runs", start: "run", kind: "collect" }}>Record one</Link> in a world, or import a folder of yours:{" "}
-            <code>freerein dataset import</code>.
+            <Link to={{ view: "runs", start: "run", kind: "collect" }}>Record one</Link> in a world, or import a folder
+            of yours: <code>freerein dataset import</code>.
           </Empty>
         ) : (
           <div class="cards wide">
@@ -42,20 +45,25 @@ function Card({ dataset }: { dataset: Dataset }) {
       </section>
     );
   }
-  const cameras = dataset.cameras.map((each) => `${each.name} ${each.width} × ${each.height}${each.channels === 1 ? " gray" : ""}`);
+  const cameras = dataset.cameras.map(
+    (each) => `${each.name} ${each.width} × ${each.height}${each.channels === 1 ? " gray" : ""}`,
+  );
   return (
     <section class="card dataset" aria-labelledby={`dataset-${dataset.name}`}>
       {title}
       {dataset.trajectories > 0 && <Pictures dataset={dataset} />}
       <p>
-        {dataset.trajectories} trajectories, {dataset.timesteps} timesteps, {dataset.fps} per second. {cameras.join(", ")}.{" "}
+        {dataset.trajectories} trajectories, {dataset.timesteps} timesteps, {dataset.fps} per second.{" "}
+        {cameras.join(", ")}.{" "}
         {dataset.action && dataset.action.size > 0 ? `Actions: ${dataset.action.names.join(", ")}.` : "No actions."}
       </p>
       {dataset.goal_text && <p>“{dataset.goal_text}”</p>}
       <Tags dataset={dataset} />
       <p class="faint">
         {[
-          dataset.labelled_by ? `labelled by model ${dataset.labelled_by.name} ${dataset.labelled_by.version}` : "not labelled by a model",
+          dataset.labelled_by
+            ? `labelled by model ${dataset.labelled_by.name} ${dataset.labelled_by.version}`
+            : "not labelled by a model",
           `${dataset.hand_labelled} labelled by hand`,
           `${dataset.with_truth} with truth, which only measures`,
         ].join("; ")}
@@ -96,7 +104,13 @@ function Pictures({ dataset }: { dataset: Dataset }) {
       const { timesteps } = await call("orchestrator/get-trajectory", { dataset: dataset.name, index: 0 });
       for (let index = 0; index < STRIP && isWanted; index += 1) {
         const first = Math.floor((index * (timesteps - 1)) / (STRIP - 1));
-        const { frames } = await call("orchestrator/get-frames", { dataset: dataset.name, index: 0, first, count: 1, max_side: STRIP_SIDE });
+        const { frames } = await call("orchestrator/get-frames", {
+          dataset: dataset.name,
+          index: 0,
+          first,
+          count: 1,
+          max_side: STRIP_SIDE,
+        });
         const picture = await createImageBitmap(new Blob([fromBase64(frames[0]!.data)]));
         drawContained(canvas.current, picture, index);
       }
@@ -106,13 +120,24 @@ function Pictures({ dataset }: { dataset: Dataset }) {
       isWanted = false;
     };
   }, [dataset.name]);
-  return <canvas ref={canvas} class="dataset-pictures" role="img" aria-label="Its first trajectory in four frames" width={STRIP * STRIP_SIDE} height={STRIP_SIDE} />;
+  return (
+    <canvas
+      ref={canvas}
+      class="dataset-pictures"
+      role="img"
+      aria-label="Its first trajectory in four frames"
+      width={STRIP * STRIP_SIDE}
+      height={STRIP_SIDE}
+    />
+  );
 }
 
 function drawContained(canvas: HTMLCanvasElement | null, picture: ImageBitmap, index: number): void {
   const scale = Math.min(STRIP_SIDE / picture.width, STRIP_SIDE / picture.height);
   const [width, height] = [picture.width * scale, picture.height * scale];
-  canvas?.getContext("2d")!.drawImage(picture, index * STRIP_SIDE + (STRIP_SIDE - width) / 2, (STRIP_SIDE - height) / 2, width, height);
+  canvas
+    ?.getContext("2d")!
+    .drawImage(picture, index * STRIP_SIDE + (STRIP_SIDE - width) / 2, (STRIP_SIDE - height) / 2, width, height);
 }
 
 function Problems({ dataset }: { dataset: string }) {
@@ -126,7 +151,10 @@ function Problems({ dataset }: { dataset: string }) {
 }
 
 function Checked({ dataset }: { dataset: string }) {
-  const [remote, retry] = useRemote(async (signal) => (await call("orchestrator/list-dataset-problems", { dataset }, { signal })).problems, dataset);
+  const [remote, retry] = useRemote(
+    async (signal) => (await call("orchestrator/list-dataset-problems", { dataset }, { signal })).problems,
+    dataset,
+  );
   return (
     <Shown remote={remote} what="the check" retry={retry}>
       {(problems) =>
@@ -136,8 +164,8 @@ function Checked({ dataset }: { dataset: string }) {
           <ul class="problems">
             {problems.map((each, index) => (
               <li key={index}>
-                <span class={`state ${each.severity === "error" ? "bad" : "active"}`}>{each.severity}</span> <strong>{each.subject}</strong>: {each.detail}{" "}
-                <span class="faint">{each.hint}</span>
+                <span class={`state ${each.severity === "error" ? "bad" : "active"}`}>{each.severity}</span>{" "}
+                <strong>{each.subject}</strong>: {each.detail} <span class="faint">{each.hint}</span>
               </li>
             ))}
           </ul>

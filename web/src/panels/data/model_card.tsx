@@ -4,7 +4,9 @@ import { short } from "../../parts/numbers";
 const MOST_FIGURES = 6;
 
 export function Card({ card }: { card: Readonly<Record<string, unknown>> }) {
-  const figures = Object.entries((card.figures ?? {}) as Record<string, unknown>).filter(([, value]) => typeof value === "number");
+  const figures = Object.entries((card.figures ?? {}) as Record<string, unknown>).filter(
+    ([, value]) => typeof value === "number",
+  );
   const words = ["method", "task", "supervision"].filter((key) => typeof card[key] === "string");
   return (
     <>

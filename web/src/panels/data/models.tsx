@@ -22,7 +22,10 @@ export function Models() {
 }
 
 function ServiceModels({ service, jobs }: { service: LearnedService; jobs: readonly Job[] }) {
-  const [remote, reload] = useRemote(async (signal) => (await call(`${service}/list-models`, {}, { signal })).models, service);
+  const [remote, reload] = useRemote(
+    async (signal) => (await call(`${service}/list-models`, {}, { signal })).models,
+    service,
+  );
   return (
     <section aria-labelledby={`models-${service}`}>
       <h2 id={`models-${service}`} class="models-title">
@@ -37,7 +40,13 @@ function ServiceModels({ service, jobs }: { service: LearnedService; jobs: reado
           ) : (
             <div class="cards">
               {models.map((each) => (
-                <ModelCard key={`${each.ref!.name}/${each.ref!.version}`} service={service} model={each} jobs={jobs} onActivated={reload} />
+                <ModelCard
+                  key={`${each.ref!.name}/${each.ref!.version}`}
+                  service={service}
+                  model={each}
+                  jobs={jobs}
+                  onActivated={reload}
+                />
               ))}
             </div>
           )
@@ -111,5 +120,8 @@ function ModelCard({ service, model, jobs, onActivated }: ModelCardProps) {
 /** Whether a configuration names a version, or a name without a version. */
 function names(config: Job["config"], name: string, version: string): boolean {
   const text = JSON.stringify(config);
-  return text.includes(`"${version}"`) || ["model", "model_name", "reward_model"].some((key) => config[key] === name && !config.version);
+  return (
+    text.includes(`"${version}"`) ||
+    ["model", "model_name", "reward_model"].some((key) => config[key] === name && !config.version)
+  );
 }

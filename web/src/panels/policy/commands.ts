@@ -34,12 +34,26 @@ function create({ origin, task, seed }: Calls): Written {
 }
 
 function act({ origin, camera, model, goal }: Calls): Written {
-  const parts = goal.form === "images" ? goal.landmarks.map((_, index) => `-F goal.images=@landmark${index + 1}.png`) : goal.form === "recipe" ? goal.skills.map((each) => `-F goal.recipe=${each}`) : [`-F goal.text=${quoted(goal.text)}`];
+  const parts =
+    goal.form === "images"
+      ? goal.landmarks.map((_, index) => `-F goal.images=@landmark${index + 1}.png`)
+      : goal.form === "recipe"
+        ? goal.skills.map((each) => `-F goal.recipe=${each}`)
+        : [`-F goal.text=${quoted(goal.text)}`];
   const images = "tuple(images.encode(each) for each in landmarks)";
-  const python = goal.form === "images" ? `Goal(${images})` : goal.form === "recipe" ? `Goal(recipe=${tuple(goal.skills)})` : `Goal(text=${JSON.stringify(goal.text)})`;
+  const python =
+    goal.form === "images"
+      ? `Goal(${images})`
+      : goal.form === "recipe"
+        ? `Goal(recipe=${tuple(goal.skills)})`
+        : `Goal(text=${JSON.stringify(goal.text)})`;
   return {
     name: "Act",
-    curl: [`curl ${origin}/services/imitation/v1/act?tensors=list -F model.name=${model}`, `-F observation.images=@${camera}.png`, ...parts].join(" \\\n  "),
+    curl: [
+      `curl ${origin}/services/imitation/v1/act?tensors=list -F model.name=${model}`,
+      `-F observation.images=@${camera}.png`,
+      ...parts,
+    ].join(" \\\n  "),
     python: [
       "from freerein import images",
       "from freerein.clients import Channel, ImitationClient, SyncClient",

@@ -88,7 +88,8 @@ export class Episode {
       const before = performance.now();
       await this.act();
       const rate = 1000 / (performance.now() - before);
-      this.stepsPerSecond.value = this.stepsPerSecond.peek() === 0 ? rate : 0.8 * this.stepsPerSecond.peek() + 0.2 * rate;
+      this.stepsPerSecond.value =
+        this.stepsPerSecond.peek() === 0 ? rate : 0.8 * this.stepsPerSecond.peek() + 0.2 * rate;
     }
   }
 
@@ -144,13 +145,18 @@ export class Episode {
     const { goal_confidence: confidence, in_distribution: familiar } = reply;
     this.history.value = [...this.history.peek().slice(1 - KEPT_STEPS), { actions, confidence, familiar, event }];
     const goal = this.goal.peek()!;
-    if (event === "reached") say(`${nameOf(goal, reply.goal_index - 1)} reached, ${reply.goal_index} of ${partsOf(goal)}`);
+    if (event === "reached")
+      say(`${nameOf(goal, reply.goal_index - 1)} reached, ${reply.goal_index} of ${partsOf(goal)}`);
     if (event === "abandoned") say(`${nameOf(goal, reply.goal_index - 1)} abandoned`);
   }
 
   private hold(reply: ActResponse): void {
     this.status.value = "holding";
-    say(reply.done_by === "step_limit" ? "Given up: the step limit was reached. The robot holds." : "All goals are reached. The robot holds.");
+    say(
+      reply.done_by === "step_limit"
+        ? "Given up: the step limit was reached. The robot holds."
+        : "All goals are reached. The robot holds.",
+    );
   }
 
   private fail(error: unknown): void {

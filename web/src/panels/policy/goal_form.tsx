@@ -38,7 +38,10 @@ export function GoalForm(props: GoalFormProps) {
   );
 }
 
-type FormProps = GoalFormProps & { readonly isBusy: boolean; readonly give: (make: () => Promise<Goal>) => Promise<void> };
+type FormProps = GoalFormProps & {
+  readonly isBusy: boolean;
+  readonly give: (make: () => Promise<Goal>) => Promise<void>;
+};
 
 /** Landmarks that the scripted expert passes from here on, or a person's own images. */
 function ImagesForm({ spec, task, episode, isBusy, give }: FormProps) {
@@ -48,9 +51,15 @@ function ImagesForm({ spec, task, episode, isBusy, give }: FormProps) {
   const byExpert = async (): Promise<Goal> => {
     episode.pause();
     const { executed, seed } = episode;
-    return { form: "images", landmarks: await expertLandmarks(spec, { task: task.name, seed, executed, skill, landmarks, every }) };
+    return {
+      form: "images",
+      landmarks: await expertLandmarks(spec, { task: task.name, seed, executed, skill, landmarks, every }),
+    };
   };
-  const byFiles = async (files: readonly File[]): Promise<Goal> => ({ form: "images", landmarks: await Promise.all(files.map(landmarkOfFile)) });
+  const byFiles = async (files: readonly File[]): Promise<Goal> => ({
+    form: "images",
+    landmarks: await Promise.all(files.map(landmarkOfFile)),
+  });
   return (
     <>
       {task.has_expert && (
@@ -65,7 +74,13 @@ function ImagesForm({ spec, task, episode, isBusy, give }: FormProps) {
           </label>
           <label>
             Goal images, {every} steps apart
-            <input type="number" min={1} max={12} value={landmarks} onChange={(event) => setLandmarks(event.currentTarget.valueAsNumber || 1)} />
+            <input
+              type="number"
+              min={1}
+              max={12}
+              value={landmarks}
+              onChange={(event) => setLandmarks(event.currentTarget.valueAsNumber || 1)}
+            />
           </label>
           <button type="button" disabled={isBusy} onClick={() => void give(byExpert)}>
             {isBusy ? "The expert moves …" : "Give the expert's images"}
@@ -74,7 +89,12 @@ function ImagesForm({ spec, task, episode, isBusy, give }: FormProps) {
       )}
       <label>
         Or your images, of {spec.cameras[0]!.width} × {spec.cameras[0]!.height} pixels
-        <input type="file" multiple accept="image/png,image/jpeg,image/webp" onChange={(event) => void give(() => byFiles([...(event.currentTarget.files ?? [])]))} />
+        <input
+          type="file"
+          multiple
+          accept="image/png,image/jpeg,image/webp"
+          onChange={(event) => void give(() => byFiles([...(event.currentTarget.files ?? [])]))}
+        />
       </label>
     </>
   );
@@ -89,7 +109,11 @@ async function landmarkOfFile(file: File): Promise<Landmark> {
 function RecipeForm({ spec, task, isBusy, give }: FormProps) {
   const [skills, setSkills] = useState<readonly string[]>(spec.skills.slice(0, 2));
   const draw = async (): Promise<void> => {
-    const { recipes } = await call("sim/draw-recipes", { task: task.name, count: 1, seed: Math.floor(Math.random() * 2 ** 31) });
+    const { recipes } = await call("sim/draw-recipes", {
+      task: task.name,
+      count: 1,
+      seed: Math.floor(Math.random() * 2 ** 31),
+    });
     setSkills(recipes[0]?.skills ?? []);
   };
   return (
@@ -99,7 +123,12 @@ function RecipeForm({ spec, task, isBusy, give }: FormProps) {
         {skills.map((each, index) => (
           <li key={index}>
             {each}
-            <button type="button" class="quiet" aria-label={`Remove ${each}, skill ${index + 1}`} onClick={() => setSkills(skills.toSpliced(index, 1))}>
+            <button
+              type="button"
+              class="quiet"
+              aria-label={`Remove ${each}, skill ${index + 1}`}
+              onClick={() => setSkills(skills.toSpliced(index, 1))}
+            >
               remove
             </button>
           </li>
@@ -115,7 +144,11 @@ function RecipeForm({ spec, task, isBusy, give }: FormProps) {
           Draw one
         </button>
       </div>
-      <button type="button" disabled={isBusy || skills.length === 0} onClick={() => void give(async () => ({ form: "recipe", skills }))}>
+      <button
+        type="button"
+        disabled={isBusy || skills.length === 0}
+        onClick={() => void give(async () => ({ form: "recipe", skills }))}
+      >
         Give this recipe
       </button>
     </>
@@ -128,14 +161,23 @@ function TextForm({ spec, isBusy, give }: FormProps) {
     <>
       <label>
         Goal in words
-        <input list="goal-texts" maxLength={2000} value={text} onInput={(event) => setText(event.currentTarget.value)} />
+        <input
+          list="goal-texts"
+          maxLength={2000}
+          value={text}
+          onInput={(event) => setText(event.currentTarget.value)}
+        />
       </label>
       <datalist id="goal-texts">
         {spec.goal_texts.map((each) => (
           <option key={each} value={each} />
         ))}
       </datalist>
-      <button type="button" disabled={isBusy || text.trim() === ""} onClick={() => void give(async () => ({ form: "text", text }))}>
+      <button
+        type="button"
+        disabled={isBusy || text.trim() === ""}
+        onClick={() => void give(async () => ({ form: "text", text }))}
+      >
         Give this goal
       </button>
     </>

@@ -31,7 +31,10 @@ export function PolicyPanel() {
 }
 
 async function load(signal: AbortSignal): Promise<Stage> {
-  const [{ models }, { tasks }] = await Promise.all([call("imitation/list-models", {}, { signal }), call("sim/list-tasks", {}, { signal })]);
+  const [{ models }, { tasks }] = await Promise.all([
+    call("imitation/list-models", {}, { signal }),
+    call("sim/list-tasks", {}, { signal }),
+  ]);
   const names = models.filter((each) => each.active).map((each) => each.ref!.name);
   const specs = await Promise.all(names.map((name) => call("imitation/get-spec", { "model.name": name }, { signal })));
   return { specs, tasks };
@@ -39,18 +42,38 @@ async function load(signal: AbortSignal): Promise<Stage> {
 
 /** Returns the worlds whose cameras and actions are those of a policy. */
 function worldsOf(spec: GetSpecResponse, tasks: readonly Task[]): Task[] {
-  const hasCamera = (task: Task): boolean => spec.cameras.every((camera) => task.cameras.some((each) => each.name === camera.name && each.width === camera.width));
+  const hasCamera = (task: Task): boolean =>
+    spec.cameras.every((camera) =>
+      task.cameras.some((each) => each.name === camera.name && each.width === camera.width),
+    );
   return tasks.filter((task) => hasCamera(task) && task.action?.names.join() === spec.action?.names.join());
 }
 
 function Chosen({ specs, tasks }: Stage) {
-  const spec = specs.find((each) => each.model!.name === query.value.model) ?? specs.find((each) => worldsOf(each, tasks).length > 0) ?? specs[0];
+  const spec =
+    specs.find((each) => each.model!.name === query.value.model) ??
+    specs.find((each) => worldsOf(each, tasks).length > 0) ??
+    specs[0];
   if (!spec) return <Empty title="No policy is active">Fit one of the imitation service under Runs and fits.</Empty>;
   const worlds = worldsOf(spec, tasks);
   const task = worlds.find((each) => each.name === query.value.world) ?? worlds[0];
-  if (!task) return <Empty title={`No world here has the cameras and actions of ${spec.model!.name}`}>Choose another policy, or give it a robot.</Empty>;
+  if (!task)
+    return (
+      <Empty title={`No world here has the cameras and actions of ${spec.model!.name}`}>
+        Choose another policy, or give it a robot.
+      </Empty>
+    );
   const seed = Number(query.value.seed ?? 7) || 0;
-  return <Live key={`${spec.model!.name}${task.name}${seed}`} specs={specs} worlds={worlds} spec={spec} task={task} seed={seed} />;
+  return (
+    <Live
+      key={`${spec.model!.name}${task.name}${seed}`}
+      specs={specs}
+      worlds={worlds}
+      spec={spec}
+      task={task}
+      seed={seed}
+    />
+  );
 }
 
 function useEpisode(spec: GetSpecResponse, task: Task, seed: number, turn: number): Episode | null {
@@ -94,7 +117,12 @@ function Live({ specs, worlds, spec, task, seed }: LiveProps) {
         </p>
         {episode.problem.value && <Failed problem={episode.problem.value} retry={() => setTurn(turn + 1)} />}
         <div class="buttons">
-          <button type="button" class="main-action" disabled={!canAct && status !== "acting"} onClick={() => (status === "acting" ? episode.pause() : void episode.run())}>
+          <button
+            type="button"
+            class="main-action"
+            disabled={!canAct && status !== "acting"}
+            onClick={() => (status === "acting" ? episode.pause() : void episode.run())}
+          >
             {status === "acting" ? "Pause" : "Act"}
           </button>
           <button type="button" disabled={!canAct} onClick={() => void episode.stepOnce()}>
@@ -112,7 +140,8 @@ function Live({ specs, worlds, spec, task, seed }: LiveProps) {
           <select value={spec.model!.name} onChange={(event) => amend({ model: event.currentTarget.value, world: "" })}>
             {specs.map((each) => (
               <option key={each.model!.name} value={each.model!.name}>
-                {each.model!.name}, follows {{ images: "goal images", recipe: "recipes", text: "texts" }[each.goal_form]}
+                {each.model!.name}, follows{" "}
+                {{ images: "goal images", recipe: "recipes", text: "texts" }[each.goal_form]}
               </option>
             ))}
           </select>
@@ -146,7 +175,10 @@ function StatusLine({ episode, goal }: { episode: Episode; goal: Goal | null }) 
     ready: goal ? "Ready to act." : "Give it a goal, then let it act.",
     acting: `Acting, ${rate.toFixed(1)} steps per second.`,
     paused: "Paused.",
-    holding: reply?.done_by === "step_limit" ? "Holding: a goal took too many steps." : "Holding: the policy saw its goals reached.",
+    holding:
+      reply?.done_by === "step_limit"
+        ? "Holding: a goal took too many steps."
+        : "Holding: the policy saw its goals reached.",
     failed: "Stopped.",
     closed: "Closed.",
   }[status];
@@ -155,7 +187,9 @@ function StatusLine({ episode, goal }: { episode: Episode; goal: Goal | null }) 
       <strong>{words}</strong>{" "}
       {goal && reply && (
         <>
-          {reply.goal_index < partsOf(goal) ? `Now ${nameOf(goal, reply.goal_index)}, ${reply.goal_index} of ${partsOf(goal)} over.` : `All ${partsOf(goal)} over.`}{" "}
+          {reply.goal_index < partsOf(goal)
+            ? `Now ${nameOf(goal, reply.goal_index)}, ${reply.goal_index} of ${partsOf(goal)} over.`
+            : `All ${partsOf(goal)} over.`}{" "}
           {reply.goal_abandoned && <span class="unfamiliar-flag">a goal was abandoned</span>}
         </>
       )}{" "}

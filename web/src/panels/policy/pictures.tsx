@@ -18,11 +18,16 @@ export function Pictures({ episode }: { episode: Episode }) {
         </figure>
         <figure>
           {goal?.form === "images" ? (
-            <Still landmark={goal.landmarks[Math.min(at, goal.landmarks.length - 1)]!} name={`Goal image ${Math.min(at + 1, goal.landmarks.length)}`} />
+            <Still
+              landmark={goal.landmarks[Math.min(at, goal.landmarks.length - 1)]!}
+              name={`Goal image ${Math.min(at + 1, goal.landmarks.length)}`}
+            />
           ) : (
             <div class="goal-words">{goal ? nameOf(goal, Math.min(at, partsOf(goal) - 1)) : "no goal yet"}</div>
           )}
-          <figcaption>goal{goal && partsOf(goal) > 1 ? ` ${Math.min(at + 1, partsOf(goal))} of ${partsOf(goal)}` : ""}</figcaption>
+          <figcaption>
+            goal{goal && partsOf(goal) > 1 ? ` ${Math.min(at + 1, partsOf(goal))} of ${partsOf(goal)}` : ""}
+          </figcaption>
         </figure>
         <Flag episode={episode} />
       </div>
@@ -37,7 +42,16 @@ function Camera({ episode }: { episode: Episode }) {
     const picture = episode.picture.value;
     if (picture) canvas.current?.getContext("2d")!.putImageData(picture, 0, 0);
   });
-  return <canvas ref={canvas} class="picture" role="img" aria-label="What the camera sees" width={SHOWN_SIDE} height={SHOWN_SIDE} />;
+  return (
+    <canvas
+      ref={canvas}
+      class="picture"
+      role="img"
+      aria-label="What the camera sees"
+      width={SHOWN_SIDE}
+      height={SHOWN_SIDE}
+    />
+  );
 }
 
 function Still({ landmark, name }: { landmark: Landmark; name: string }) {
@@ -54,7 +68,14 @@ function Flag({ episode }: { episode: Episode }) {
   const confidence = reply?.goal_confidence ?? 0;
   const isReached = confidence >= threshold || reply?.goal_reached === true;
   return (
-    <div class={`flag ${isReached ? "reached" : ""}`} role="meter" aria-label="Goal confidence" aria-valuemin={0} aria-valuemax={1} aria-valuenow={Number(confidence.toFixed(2))}>
+    <div
+      class={`flag ${isReached ? "reached" : ""}`}
+      role="meter"
+      aria-label="Goal confidence"
+      aria-valuemin={0}
+      aria-valuemax={1}
+      aria-valuenow={Number(confidence.toFixed(2))}
+    >
       <svg viewBox="0 0 40 100" aria-hidden="true">
         <rect class="flag-back" x={8} y={2} width={24} height={96} rx={3} />
         <rect class="flag-fill" x={8} y={2 + 96 * (1 - confidence)} width={24} height={96 * confidence} />
@@ -70,7 +91,11 @@ function Parts({ goal, at }: { goal: Goal; at: number }) {
   return (
     <ol class="goal-parts" aria-label="Parts of the goal">
       {Array.from({ length: partsOf(goal) }, (_, index) => (
-        <li key={index} class={index < at ? "over" : index === at ? "now" : ""} aria-current={index === at ? "step" : undefined}>
+        <li
+          key={index}
+          class={index < at ? "over" : index === at ? "now" : ""}
+          aria-current={index === at ? "step" : undefined}
+        >
           {goal.form === "images" && <Still landmark={goal.landmarks[index]!} name={nameOf(goal, index)} />}
           <span>
             {index < at ? "✓ " : ""}

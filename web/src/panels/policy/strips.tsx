@@ -23,18 +23,38 @@ export function Strips({ spec, history, reply }: StripsProps) {
       <Strip label="goal confidence" text={last ? last.confidence.toFixed(2) : "–"} width={width}>
         <path class="fill" d={area(shown.map((each) => each.confidence))} />
         <line class="threshold" x1={0} x2={width} y1={1 - spec.reached_threshold} y2={1 - spec.reached_threshold} />
-        {shown.map((each, index) => each.event && <line key={index} class={`event ${each.event.replace(" ", "-")}`} x1={index} x2={index} y1={0} y2={1} />)}
+        {shown.map(
+          (each, index) =>
+            each.event && (
+              <line key={index} class={`event ${each.event.replace(" ", "-")}`} x1={index} x2={index} y1={0} y2={1} />
+            ),
+        )}
       </Strip>
       {names.map((name, axis) => (
         <Strip key={name} label={name} text={last?.actions[axis]?.toFixed(2) ?? "–"} width={width}>
           <line class="zero" x1={0} x2={width} y1={0.5} y2={0.5} />
-          <path class="line" d={steps(shown.map((each) => heightOf(each.actions[axis] ?? 0, spec)), 0)} />
-          <path class="ghost" d={steps(chunk.map((each) => heightOf(each[axis] ?? 0, spec)), shown.length)} />
+          <path
+            class="line"
+            d={steps(
+              shown.map((each) => heightOf(each.actions[axis] ?? 0, spec)),
+              0,
+            )}
+          />
+          <path
+            class="ghost"
+            d={steps(
+              chunk.map((each) => heightOf(each[axis] ?? 0, spec)),
+              shown.length,
+            )}
+          />
         </Strip>
       ))}
       <Strip label="in_distribution" text={last ? last.familiar.toFixed(2) : "–"} width={width}>
         <path class="fill pale" d={area(shown.map((each) => each.familiar))} />
-        {shown.map((each, index) => each.familiar < UNFAMILIAR && <rect key={index} class="on-warning" x={index} y={0} width={1} height={1} />)}
+        {shown.map(
+          (each, index) =>
+            each.familiar < UNFAMILIAR && <rect key={index} class="on-warning" x={index} y={0} width={1} height={1} />,
+        )}
       </Strip>
     </section>
   );
@@ -59,7 +79,12 @@ function heightOf(value: number, spec: GetSpecResponse): number {
 }
 
 function steps(heights: readonly number[], from: number): string {
-  return heights.map((each, index) => `${index === 0 ? "M" : "L"}${from + index} ${each.toFixed(3)}L${from + index + 1} ${each.toFixed(3)}`).join("");
+  return heights
+    .map(
+      (each, index) =>
+        `${index === 0 ? "M" : "L"}${from + index} ${each.toFixed(3)}L${from + index + 1} ${each.toFixed(3)}`,
+    )
+    .join("");
 }
 
 function area(values: readonly number[]): string {

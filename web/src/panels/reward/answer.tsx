@@ -52,7 +52,9 @@ function Sentence({ text, reward, onText }: { text: string; reward: RewardRespon
   return (
     <div class="sentence">
       <p>
-        {markUnknown(text, reward.unknown).map((each, index) => (each.isUnknown ? <u key={index}>{each.text}</u> : each.text))}
+        {markUnknown(text, reward.unknown).map((each, index) =>
+          each.isUnknown ? <u key={index}>{each.text}</u> : each.text,
+        )}
       </p>
       {understood.toLowerCase() !== text.toLowerCase() && <p class="faint">read as: {understood}</p>}
       {reward.unknown.length > 0 && (
@@ -89,7 +91,16 @@ function Familiar({ value }: { value: number }) {
 export function Picture({ shot, name }: { shot: Shot; name: string }) {
   const canvas = useRef<HTMLCanvasElement>(null);
   useEffect(() => canvas.current!.getContext("2d")!.drawImage(shot.picture, 0, 0), [shot]);
-  return <canvas ref={canvas} class="picture" role="img" aria-label={name} width={shot.picture.width} height={shot.picture.height} />;
+  return (
+    <canvas
+      ref={canvas}
+      class="picture"
+      role="img"
+      aria-label={name}
+      width={shot.picture.width}
+      height={shot.picture.height}
+    />
+  );
 }
 
 function OverTime({ reward, at, goTo }: { reward: RewardResponse; at: number; goTo: (index: number) => void }) {
@@ -110,7 +121,9 @@ function OverTime({ reward, at, goTo }: { reward: RewardResponse; at: number; go
   );
   const [least, greatest] = [Math.min(...reward.similarities), Math.max(...reward.similarities)];
   const height = (index: number): number => (reward.similarities[index]! - least) / Math.max(greatest - least, 1e-6);
-  const line = reward.similarities.map((_, index) => `${index === 0 ? "M" : "L"}${index + 0.5} ${(1 - height(index)).toFixed(3)}`).join("");
+  const line = reward.similarities
+    .map((_, index) => `${index === 0 ? "M" : "L"}${index + 0.5} ${(1 - height(index)).toFixed(3)}`)
+    .join("");
   return (
     <section class="over-time" aria-label="Over time">
       {lane("reward", "on-good", (index) => reward.rewards[index]! > 0)}
@@ -123,13 +136,26 @@ function OverTime({ reward, at, goTo }: { reward: RewardResponse; at: number; go
           <rect class="here" x={at} y={0} width={1} height={1} />
         </svg>
       </div>
-      {reward.texts.map((each, text) => lane(text === 0 ? `goal: ${each}` : each, text === 0 ? "on-good" : "on-rival", (index) => reward.winners[index] === text))}
+      {reward.texts.map((each, text) =>
+        lane(
+          text === 0 ? `goal: ${each}` : each,
+          text === 0 ? "on-good" : "on-rival",
+          (index) => reward.winners[index] === text,
+        ),
+      )}
       {lane("unlike the training data", "on-warning", (index) => (reward.in_distribution[index] ?? 1) < UNFAMILIAR)}
       <div class="lane">
         <label class="lane-label" for="reward-at">
           image {at + 1} of {count}
         </label>
-        <input id="reward-at" type="range" min={0} max={count - 1} value={at} onInput={(event) => goTo(event.currentTarget.valueAsNumber)} />
+        <input
+          id="reward-at"
+          type="range"
+          min={0}
+          max={count - 1}
+          value={at}
+          onInput={(event) => goTo(event.currentTarget.valueAsNumber)}
+        />
       </div>
     </section>
   );

@@ -79,7 +79,16 @@ function Overlay({ shot, grounding }: { shot: Shot; grounding: Grounding }) {
     context.arc(grounding.x, grounding.y, size, 0, 2 * Math.PI);
     context.stroke();
   }, [shot, grounding]);
-  return <canvas ref={canvas} class="picture" role="img" aria-label={`Heatmap of ${grounding.phrase}`} width={width} height={height} />;
+  return (
+    <canvas
+      ref={canvas}
+      class="picture"
+      role="img"
+      aria-label={`Heatmap of ${grounding.phrase}`}
+      width={width}
+      height={height}
+    />
+  );
 }
 
 /** Returns a number that differs for images that differ. */

@@ -14,7 +14,11 @@ const CAMERA = "front";
 const FIRST_TASK = "blocks.yellow-left-of-green";
 
 type Outcome = { readonly shots: readonly Shot[]; readonly reward: RewardResponse };
-type Work = { readonly state: "idle" } | { readonly state: "busy"; readonly what: string } | { readonly state: "done"; readonly outcome: Outcome } | { readonly state: "failed"; readonly problem: Problem };
+type Work =
+  | { readonly state: "idle" }
+  | { readonly state: "busy"; readonly what: string }
+  | { readonly state: "done"; readonly outcome: Outcome }
+  | { readonly state: "failed"; readonly problem: Problem };
 
 export function RewardPanel() {
   const [remote, retry] = useRemote(async (signal) => (await call("sim/list-tasks", {}, { signal })).tasks, "tasks");
@@ -40,10 +44,18 @@ function Judge({ tasks }: { tasks: readonly Task[] }) {
   const judge = async (): Promise<void> => {
     try {
       setWork({ state: "busy", what: shots.length > 0 ? "the reward" : "the images" });
-      const seen = shots.length > 0 ? shots : files.length > 0 ? await fileShots(files) : await expertShots(task!.name, CAMERA, 7);
+      const seen =
+        shots.length > 0 ? shots : files.length > 0 ? await fileShots(files) : await expertShots(task!.name, CAMERA, 7);
       setShots(seen);
-      const more = rivals.split("\n").map((each) => each.trim()).filter(Boolean);
-      const reward = await call("reward/reward", { images: seen.map((each) => each.image), goal_text: text, rivals: more });
+      const more = rivals
+        .split("\n")
+        .map((each) => each.trim())
+        .filter(Boolean);
+      const reward = await call("reward/reward", {
+        images: seen.map((each) => each.image),
+        goal_text: text,
+        rivals: more,
+      });
       setWork({ state: "done", outcome: { shots: seen, reward } });
       say(`${reward.rewards.filter((each) => each > 0).length} of ${seen.length} images are rewarded.`);
     } catch (error) {
@@ -65,11 +77,21 @@ function Judge({ tasks }: { tasks: readonly Task[] }) {
       >
         <label>
           Goal in words
-          <textarea rows={2} maxLength={2000} required value={text} onInput={(event) => amend({ text: event.currentTarget.value })} />
+          <textarea
+            rows={2}
+            maxLength={2000}
+            required
+            value={text}
+            onInput={(event) => amend({ text: event.currentTarget.value })}
+          />
         </label>
         <label>
           Images of the scripted expert in
-          <select value={task?.name} disabled={files.length > 0} onChange={(event) => amend({ task: event.currentTarget.value, text: "", at: "" })}>
+          <select
+            value={task?.name}
+            disabled={files.length > 0}
+            onChange={(event) => amend({ task: event.currentTarget.value, text: "", at: "" })}
+          >
             {tasks.map((each) => (
               <option key={each.name} value={each.name}>
                 {each.name}
@@ -79,7 +101,12 @@ function Judge({ tasks }: { tasks: readonly Task[] }) {
         </label>
         <label>
           Or your images, or a video (or drop them here)
-          <input type="file" multiple accept="image/png,image/jpeg,image/webp,video/*" onChange={(event) => setFiles([...(event.currentTarget.files ?? [])])} />
+          <input
+            type="file"
+            multiple
+            accept="image/png,image/jpeg,image/webp,video/*"
+            onChange={(event) => setFiles([...(event.currentTarget.files ?? [])])}
+          />
         </label>
         <details>
           <summary>Rivals</summary>
@@ -94,11 +121,20 @@ function Judge({ tasks }: { tasks: readonly Task[] }) {
       </form>
       <div class="reward-answer">
         {work.state === "idle" && (
-          <Empty title="Nothing is judged yet">No world here has a goal and a scripted expert; drop images of your own.</Empty>
+          <Empty title="Nothing is judged yet">
+            No world here has a goal and a scripted expert; drop images of your own.
+          </Empty>
         )}
         {work.state === "busy" && <Loading what={work.what} />}
         {work.state === "failed" && <Failed problem={work.problem} retry={() => void judge()} />}
-        {work.state === "done" && <Answer shots={work.outcome.shots} reward={work.outcome.reward} text={text} onText={(next) => amend({ text: next })} />}
+        {work.state === "done" && (
+          <Answer
+            shots={work.outcome.shots}
+            reward={work.outcome.reward}
+            text={text}
+            onText={(next) => amend({ text: next })}
+          />
+        )}
       </div>
     </div>
   );

@@ -34,7 +34,11 @@ async function shotOf(tensor: Tensor): Promise<Shot> {
   return { image: imageOf(tensor, ""), picture: await createImageBitmap(pixelsOf(tensor)) };
 }
 
-const ENCODINGS: Readonly<Record<string, Image["encoding"]>> = { "image/png": "png", "image/jpeg": "jpeg", "image/webp": "webp" };
+const ENCODINGS: Readonly<Record<string, Image["encoding"]>> = {
+  "image/png": "png",
+  "image/jpeg": "jpeg",
+  "image/webp": "webp",
+};
 
 /** Returns images of files, or frames of a video, evenly spaced. */
 export async function fileShots(files: readonly File[]): Promise<Shot[]> {
@@ -45,14 +49,25 @@ export async function fileShots(files: readonly File[]): Promise<Shot[]> {
 
 async function imageShot(file: Blob): Promise<Shot> {
   const encoding = ENCODINGS[file.type];
-  if (!encoding) throw new Problem(0, "unsupported_media", `Images must be PNG, JPEG or WebP files; got ${file.type || "another file"}.`);
+  if (!encoding)
+    throw new Problem(
+      0,
+      "unsupported_media",
+      `Images must be PNG, JPEG or WebP files; got ${file.type || "another file"}.`,
+    );
   const data = toBase64(new Uint8Array(await file.arrayBuffer()));
   return { image: { encoding, height: 0, width: 0, data, camera: "" }, picture: await createImageBitmap(file) };
 }
 
 async function videoShots(file: File): Promise<Shot[]> {
   const video = await VideoFrames.open(file, (timestep) => timestep / 1000);
-  if (!video) throw new Problem(0, "unsupported_media", `This browser cannot decode ${file.name}.`, "Drop PNG, JPEG or WebP files of its frames.");
+  if (!video)
+    throw new Problem(
+      0,
+      "unsupported_media",
+      `This browser cannot decode ${file.name}.`,
+      "Drop PNG, JPEG or WebP files of its frames.",
+    );
   const canvas = new OffscreenCanvas(video.width, video.height);
   const context = canvas.getContext("2d")!;
   const shots: Shot[] = [];

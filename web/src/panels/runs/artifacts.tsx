@@ -6,7 +6,11 @@ import { Shown } from "../../parts/notice";
 import { artifactPath, artifactsOf, type Job } from "./job";
 
 export function Artifacts({ job }: { job: Job }) {
-  const [remote, retry] = useRemote(() => artifactsOf(job), `${job.owner}/${job.id}`, job.step + (job.state === "running" ? 0 : 0.5));
+  const [remote, retry] = useRemote(
+    () => artifactsOf(job),
+    `${job.owner}/${job.id}`,
+    job.step + (job.state === "running" ? 0 : 0.5),
+  );
   if (job.owner !== "orchestrator") return null;
   return (
     <Shown remote={remote} what="artifacts" retry={retry}>
@@ -44,7 +48,16 @@ function Rollout({ job, artifact }: { job: Job; artifact: Artifact }) {
       {isBad ? (
         <p>This browser has no decoder for {artifact.name}; the file below plays elsewhere.</p>
       ) : (
-        <video controls loop muted playsInline preload="auto" src={artifactPath(job, artifact.name)} aria-label={`Rollout ${artifact.name}`} onError={() => setBad(true)} />
+        <video
+          controls
+          loop
+          muted
+          playsInline
+          preload="auto"
+          src={artifactPath(job, artifact.name)}
+          aria-label={`Rollout ${artifact.name}`}
+          onError={() => setBad(true)}
+        />
       )}
     </>
   );

@@ -26,7 +26,11 @@ export function Curve(props: CurveProps) {
     const element = box.current!;
     const make = (): void => {
       plot.current?.destroy();
-      plot.current = new uPlot(optionsOf(element, () => drawn.current), dataOf(drawn.current, element.clientWidth), element);
+      plot.current = new uPlot(
+        optionsOf(element, () => drawn.current),
+        dataOf(drawn.current, element.clientWidth),
+        element,
+      );
     };
     make();
     const theme = matchMedia("(prefers-color-scheme: dark)");
@@ -70,7 +74,12 @@ function dataOf({ points, other }: CurveProps, width: number): uPlot.AlignedData
 
 function optionsOf(element: HTMLElement, props: () => CurveProps): uPlot.Options {
   const color = (name: string): string => getComputedStyle(element).getPropertyValue(name).trim();
-  const axis = { stroke: color("--faint"), grid: { stroke: color("--line"), width: 1 }, ticks: { show: false }, font: "12px system-ui" };
+  const axis = {
+    stroke: color("--faint"),
+    grid: { stroke: color("--line"), width: 1 },
+    ticks: { show: false },
+    font: "12px system-ui",
+  };
   const line = { width: 1.6, points: { show: false }, spanGaps: true };
   return {
     width: element.clientWidth,
@@ -113,7 +122,9 @@ function drawMarks(plot: uPlot, { marks, checkpoints }: CurveProps, strong: stri
 
 function NumberTable({ name, points, other }: { name: string; points: Points; other?: Points }) {
   const every = Math.max(1, Math.ceil(points.x.length / TABLE_ROWS));
-  const shown = points.x.map((_, index) => index).filter((index) => index % every === 0 || index === points.x.length - 1);
+  const shown = points.x
+    .map((_, index) => index)
+    .filter((index) => index % every === 0 || index === points.x.length - 1);
   const beside = new Map(other?.x.map((step, index) => [step, other.y[index]]));
   return (
     <table>

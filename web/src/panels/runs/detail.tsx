@@ -5,6 +5,7 @@ import { Link } from "../../parts/link";
 import { Empty, Failed, Loading } from "../../parts/notice";
 import { short } from "../../parts/numbers";
 import { say } from "../../parts/say";
+import { Twice } from "../../parts/twice";
 import { open, query } from "../../url/location";
 import { Artifacts } from "./artifacts";
 import { Curve } from "./curve";
@@ -91,15 +92,20 @@ function Head({ job, onResumed }: { job: Job; onResumed: () => void }) {
         <button type="button" disabled={isOver(job.state)} onClick={act(cancel)}>
           Cancel
         </button>
-        <button type="button" disabled={job.state !== "failed" && job.state !== "cancelled"} onClick={act(resume, onResumed)}>
+        <button
+          type="button"
+          disabled={job.state !== "failed" && job.state !== "cancelled"}
+          onClick={act(resume, onResumed)}
+        >
           Resume
         </button>
-        <button type="button" disabled={!isOver(job.state)} onClick={act(remove, () => open({ view: "runs", job: "", with: "" }))}>
-          Delete
-        </button>
-        {query.value.with && (
-          <Link to={{ view: "runs", job: query.value.job ?? "", with: "" }}>Compare no longer</Link>
-        )}
+        <Twice
+          name="Delete"
+          again="Delete for good"
+          disabled={!isOver(job.state)}
+          act={act(remove, () => open({ view: "runs", job: "", with: "" }))}
+        />
+        {query.value.with && <Link to={{ view: "runs", job: query.value.job ?? "", with: "" }}>Compare no longer</Link>}
       </div>
       {problem && <Failed problem={problem} />}
     </header>
@@ -112,7 +118,11 @@ function Curves({ live, other, job }: { live: LiveJob; other: LiveJob | null; jo
   const names = Object.keys(series).sort();
   const shown = showsAll ? names : names.slice(0, MOST_CURVES);
   if (names.length === 0) {
-    return <Empty title="No metrics yet">{isOver(job.state) ? "This job recorded none." : "They appear with its first steps."}</Empty>;
+    return (
+      <Empty title="No metrics yet">
+        {isOver(job.state) ? "This job recorded none." : "They appear with its first steps."}
+      </Empty>
+    );
   }
   return (
     <section aria-label="Curves">
@@ -161,7 +171,8 @@ function Marks({ live }: { live: LiveJob }) {
 }
 
 function ConfigTable({ config, other }: { config: Job["config"]; other?: Job["config"] }) {
-  const text = (value: unknown): string => (typeof value === "number" ? short(value) : typeof value === "string" ? value : JSON.stringify(value));
+  const text = (value: unknown): string =>
+    typeof value === "number" ? short(value) : typeof value === "string" ? value : JSON.stringify(value);
   return (
     <div class="scrolled" tabIndex={0} role="region" aria-label="Configuration">
       <table>

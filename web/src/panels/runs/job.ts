@@ -30,7 +30,9 @@ export function isOver(state: State): boolean {
 }
 
 export function jobOfRun(run: Run): Job {
-  const about = ["task", "dataset", "model_name"].map((key) => run.config[key]).filter((each) => typeof each === "string" && each);
+  const about = ["task", "dataset", "model_name"]
+    .map((key) => run.config[key])
+    .filter((each) => typeof each === "string" && each);
   return { ...common(run), owner: "orchestrator", kind: run.kind, about: about.join(" → ") };
 }
 
@@ -41,7 +43,17 @@ export function jobOfFit(fit: Fit, owner: LearnedService): Job {
 
 function common(job: Run | Fit) {
   const { id, state, config, step, steps, metrics, error } = job;
-  return { id, state, config, step, steps, metrics: metrics ?? {}, model: job.model ?? null, error, time: job.time_ns / 1e6 };
+  return {
+    id,
+    state,
+    config,
+    step,
+    steps,
+    metrics: metrics ?? {},
+    model: job.model ?? null,
+    error,
+    time: job.time_ns / 1e6,
+  };
 }
 
 /** Returns a job out of a message of its service, such as an event. */
@@ -60,7 +72,9 @@ const PAGE_SIZE = 1000;
 
 /** Returns the newest jobs of all services; one that is away hides only its own. */
 export async function listJobs(signal: AbortSignal): Promise<Jobs> {
-  const answers = await Promise.all(OWNERS.map(async (owner) => ({ owner, found: await listOf(owner, signal).catch(asProblem) })));
+  const answers = await Promise.all(
+    OWNERS.map(async (owner) => ({ owner, found: await listOf(owner, signal).catch(asProblem) })),
+  );
   const jobs = answers.flatMap(({ found }) => (found instanceof Problem ? [] : found));
   const away = answers.flatMap(({ owner, found }) => (found instanceof Problem ? [{ owner, problem: found }] : []));
   if (away.length === OWNERS.length) throw away[0]!.problem;
@@ -71,7 +85,9 @@ async function listOf(owner: Owner, signal: AbortSignal): Promise<Job[]> {
   if (owner === "orchestrator") {
     return (await call("orchestrator/list-runs", { page_size: PAGE_SIZE }, { signal })).runs.map(jobOfRun);
   }
-  return (await call(`${owner}/list-fits`, { page_size: PAGE_SIZE }, { signal })).fits.map((fit) => jobOfFit(fit, owner));
+  return (await call(`${owner}/list-fits`, { page_size: PAGE_SIZE }, { signal })).fits.map((fit) =>
+    jobOfFit(fit, owner),
+  );
 }
 
 /** Path of the job's stream of events. */
@@ -80,23 +96,35 @@ export function watchPath(owner: Owner, id: string): string {
 }
 
 export async function cancel(job: Job): Promise<void> {
-  await (job.owner === "orchestrator" ? call("orchestrator/cancel-run", { id: job.id }) : call(`${job.owner}/cancel-fit`, { id: job.id }));
+  await (job.owner === "orchestrator"
+    ? call("orchestrator/cancel-run", { id: job.id })
+    : call(`${job.owner}/cancel-fit`, { id: job.id }));
 }
 
 export async function resume(job: Job): Promise<void> {
-  await (job.owner === "orchestrator" ? call("orchestrator/resume-run", { id: job.id }) : call(`${job.owner}/resume-fit`, { id: job.id }));
+  await (job.owner === "orchestrator"
+    ? call("orchestrator/resume-run", { id: job.id })
+    : call(`${job.owner}/resume-fit`, { id: job.id }));
 }
 
 export async function remove(job: Job): Promise<void> {
-  await (job.owner === "orchestrator" ? call("orchestrator/delete-run", { id: job.id }) : call(`${job.owner}/delete-fit`, { id: job.id }));
+  await (job.owner === "orchestrator"
+    ? call("orchestrator/delete-run", { id: job.id })
+    : call(`${job.owner}/delete-fit`, { id: job.id }));
 }
 
 const MOST_ROWS = 10_000;
 
 /** Returns rows of metrics from a step on, and the step that returns only later ones. */
-export async function metricsOf(owner: Owner, id: string, fromStep: number): Promise<{ rows: readonly MetricRow[]; next: number }> {
+export async function metricsOf(
+  owner: Owner,
+  id: string,
+  fromStep: number,
+): Promise<{ rows: readonly MetricRow[]; next: number }> {
   const request = { id, from_step: fromStep, max_rows: MOST_ROWS };
-  const reply = await (owner === "orchestrator" ? call("orchestrator/get-metrics", request) : call(`${owner}/get-fit-metrics`, request));
+  const reply = await (owner === "orchestrator"
+    ? call("orchestrator/get-metrics", request)
+    : call(`${owner}/get-fit-metrics`, request));
   return { rows: reply.rows, next: reply.next_step };
 }
 

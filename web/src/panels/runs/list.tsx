@@ -25,7 +25,9 @@ export function JobList() {
 function Table({ jobs, away, retry }: Jobs & { retry: () => void }) {
   const [showsAll, setShowsAll] = useState(false);
   const wanted = (query.value.filter ?? "").toLowerCase();
-  const found = jobs.filter((each) => `${each.kind} ${each.about} ${each.state} ${each.id}`.toLowerCase().includes(wanted));
+  const found = jobs.filter((each) =>
+    `${each.kind} ${each.about} ${each.state} ${each.id}`.toLowerCase().includes(wanted),
+  );
   const shown = showsAll ? found : found.slice(0, MOST_ROWS);
   return (
     <>
@@ -40,7 +42,11 @@ function Table({ jobs, away, retry }: Jobs & { retry: () => void }) {
         <>
           <label class="filter">
             Filter
-            <input type="search" value={query.value.filter ?? ""} onInput={(event) => amend({ filter: event.currentTarget.value })} />
+            <input
+              type="search"
+              value={query.value.filter ?? ""}
+              onInput={(event) => amend({ filter: event.currentTarget.value })}
+            />
           </label>
           <div class="scrolled" tabIndex={0} role="region" aria-label="Runs and fits">
             <table class="jobs">
@@ -94,7 +100,13 @@ function Row({ job }: { job: Job }) {
       <td class="number">
         {job.step} / {job.steps}
       </td>
-      <td>{job.time > 0 ? <time dateTime={new Date(job.time).toISOString()}>{new Date(job.time).toLocaleString()}</time> : "–"}</td>
+      <td>
+        {job.time > 0 ? (
+          <time dateTime={new Date(job.time).toISOString()}>{new Date(job.time).toLocaleString()}</time>
+        ) : (
+          "–"
+        )}
+      </td>
       <td>
         {first === undefined || first === name ? (
           <button

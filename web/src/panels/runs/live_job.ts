@@ -47,14 +47,12 @@ export class LiveJob {
     const mark = markOf(this.job.peek(), after);
     if (mark) this.marks.value = [...this.marks.peek(), mark];
     this.job.value = after;
-    this.scheduleMetrics(isOver(after.state) ? 0 : METRICS_MS);
+    this.scheduleMetrics(METRICS_MS);
     return isOver(after.state);
   }
 
   private scheduleMetrics(ms: number): void {
-    if (this.timer !== 0 && ms > 0) return;
-    window.clearTimeout(this.timer);
-    this.timer = window.setTimeout(() => void this.loadMetrics(), ms);
+    if (this.timer === 0) this.timer = window.setTimeout(() => void this.loadMetrics(), ms);
   }
 
   private async loadMetrics(): Promise<void> {
@@ -64,6 +62,7 @@ export class LiveJob {
       if (this.aborting.signal.aborted) return;
       this.nextStep = next;
       this.series.value = appended(this.series.peek(), rows);
+      if (rows.length > 0) this.scheduleMetrics(METRICS_MS); // rows that no event follows, as the last ones
     } catch {
       // The next event asks again.
     }

@@ -8,6 +8,9 @@ import { ConfigFields } from "../../form/fields";
 import { Failed, Shown } from "../../parts/notice";
 import { amend, open, query } from "../../url/location";
 
+/** Known names that a field may want, by its key. */
+type Names = Readonly<Record<string, readonly string[]>>;
+
 interface Choice {
   readonly title: string;
   readonly service: "orchestrator" | LearnedService;
@@ -38,8 +41,21 @@ async function choicesOf(what: "run" | "fit", signal: AbortSignal): Promise<Choi
   return answers.flatMap((each) => (each.status === "fulfilled" ? each.value : []));
 }
 
+/** Returns the names of datasets and tasks, as far as their services answer. */
+async function namesOf(signal: AbortSignal): Promise<Names> {
+  const [datasets, tasks] = await Promise.allSettled([
+    call("orchestrator/list-datasets", { page_size: 1000 }, { signal }),
+    call("sim/list-tasks", {}, { signal }),
+  ]);
+  return {
+    dataset: datasets.status === "fulfilled" ? datasets.value.datasets.map((each) => each.name) : [],
+    task: tasks.status === "fulfilled" ? tasks.value.tasks.map((each) => each.name) : [],
+  };
+}
+
 function Chooser({ what, choices }: { what: "run" | "fit"; choices: readonly Choice[] }) {
   const nameOf = (choice: Choice): string => (what === "run" ? choice.title : `${choice.service}: ${choice.title}`);
+  const [names] = useRemote(namesOf, "names");
   const chosen = choices.find((each) => nameOf(each) === query.value.kind) ?? choices[0];
   if (!chosen) return <p>The services describe no kinds. They may be of an older version than this page.</p>;
   return (
@@ -52,12 +68,12 @@ function Chooser({ what, choices }: { what: "run" | "fit"; choices: readonly Cho
           ))}
         </select>
       </label>
-      <JobForm key={nameOf(chosen)} choice={chosen} />
+      <JobForm key={nameOf(chosen)} choice={chosen} names={names.state === "ready" ? names.value : {}} />
     </>
   );
 }
 
-function JobForm({ choice }: { choice: Choice }) {
+function JobForm({ choice, names }: { choice: Choice; names: Names }) {
   const isFit = choice.service !== "orchestrator";
   const fields = fieldsOf(choice.schema);
   const [texts, setTexts] = useState<Readonly<Record<string, string>>>({});
@@ -89,19 +105,40 @@ function JobForm({ choice }: { choice: Choice }) {
   };
   return (
     <form class="card job-form" onSubmit={(event) => void start(event)} noValidate>
+      {Object.entries(names).map(([key, each]) => (
+        <datalist key={key} id={`names-${key}`}>
+          {each.map((name) => (
+            <option key={name} value={name} />
+          ))}
+        </datalist>
+      ))}
       {isFit && (
         <div class="field-grid">
           <label>
             dataset (needed)
-            <input required value={target.dataset} onInput={(event) => setTarget({ ...target, dataset: event.currentTarget.value })} />
+            <input
+              required
+              list="names-dataset"
+              value={target.dataset}
+              onInput={(event) => setTarget({ ...target, dataset: event.currentTarget.value })}
+            />
           </label>
           <label>
             model_name
-            <input value={target.model} placeholder="default" onInput={(event) => setTarget({ ...target, model: event.currentTarget.value })} />
+            <input
+              value={target.model}
+              placeholder="default"
+              onInput={(event) => setTarget({ ...target, model: event.currentTarget.value })}
+            />
           </label>
         </div>
       )}
-      <ConfigFields fields={fields} texts={texts} errors={isTried ? errors : {}} onText={(key, text) => setTexts({ ...texts, [key]: text })} />
+      <ConfigFields
+        fields={fields}
+        texts={texts}
+        errors={isTried ? errors : {}}
+        onText={(key, text) => setTexts({ ...texts, [key]: text })}
+      />
       {problem && <Failed problem={problem} />}
       <div class="buttons">
         <button type="submit" class="main-action">

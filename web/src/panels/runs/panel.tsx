@@ -31,7 +31,13 @@ export function RunsPanel() {
           </ul>
         </nav>
       </div>
-      {start === "run" || start === "fit" ? <NewJob key={start} what={start} /> : job ? <JobDetail key={job} name={job} /> : <JobList />}
+      {start === "run" || start === "fit" ? (
+        <NewJob key={start} what={start} />
+      ) : job ? (
+        <JobDetail key={job} name={job} />
+      ) : (
+        <JobList />
+      )}
     </>
   );
 }

@@ -40,10 +40,12 @@ export interface Moment {
 /** Returns what an event marks on the curves: interruptions, resumes and ends that are no success. */
 export function markOf(before: Moment | null, after: Moment): Mark | null {
   const wasOver = before !== null && ["failed", "cancelled", "succeeded"].includes(before.state);
-  if (wasOver && (after.state === "queued" || after.state === "running")) return { step: before.step, kind: "resumed", text: "resumed" };
+  if (wasOver && (after.state === "queued" || after.state === "running"))
+    return { step: before.step, kind: "resumed", text: "resumed" };
   if (after.state === "cancelled") return { step: after.step, kind: "cancelled", text: "cancelled" };
   if (after.state === "failed") return { step: after.step, kind: "failed", text: `failed: ${after.error}` };
-  if (after.error !== "" && after.error !== before?.error) return { step: after.step, kind: "interrupted", text: after.error };
+  if (after.error !== "" && after.error !== before?.error)
+    return { step: after.step, kind: "interrupted", text: after.error };
   return null;
 }
 

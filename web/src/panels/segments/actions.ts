@@ -11,7 +11,12 @@ export function parseActions(text: string, isDiscrete: boolean): number[][] {
   if (bad >= 0 || actions.length === 0) {
     const line = lines[bad + (hasNames ? 1 : 0)] ?? "";
     const hint = "Write a row for each timestep, such as 0.1,-0.2,0.";
-    throw new Problem(0, "invalid_input", `Every row of actions must have the same count of numbers; got “${line.slice(0, 60)}”.`, hint);
+    throw new Problem(
+      0,
+      "invalid_input",
+      `Every row of actions must have the same count of numbers; got “${line.slice(0, 60)}”.`,
+      hint,
+    );
   }
   return isDiscrete ? actions.map((row) => row.map(Math.round)) : actions;
 }

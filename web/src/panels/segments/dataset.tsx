@@ -19,7 +19,10 @@ interface DatasetSourceProps {
 }
 
 export function DatasetSource({ children }: DatasetSourceProps) {
-  const [remote, retry] = useRemote(async (signal) => (await call("orchestrator/list-datasets", { page_size: 1000 }, { signal })).datasets, "datasets");
+  const [remote, retry] = useRemote(
+    async (signal) => (await call("orchestrator/list-datasets", { page_size: 1000 }, { signal })).datasets,
+    "datasets",
+  );
   return (
     <Shown remote={remote} what="the datasets" retry={retry}>
       {(datasets) => <Chosen datasets={datasets.filter((each) => each.error === "")} children={children} />}
@@ -36,14 +39,28 @@ function Chosen({ datasets, children }: DatasetSourceProps & { datasets: readonl
       </Empty>
     );
   }
-  const index = Math.min(Math.max(Math.round(Number(query.value.index ?? 0)) || 0, 0), Math.max(dataset.trajectories - 1, 0));
-  return <Trajectory key={`${dataset.name}/${index}`} datasets={datasets} dataset={dataset} index={index} children={children} />;
+  const index = Math.min(
+    Math.max(Math.round(Number(query.value.index ?? 0)) || 0, 0),
+    Math.max(dataset.trajectories - 1, 0),
+  );
+  return (
+    <Trajectory
+      key={`${dataset.name}/${index}`}
+      datasets={datasets}
+      dataset={dataset}
+      index={index}
+      children={children}
+    />
+  );
 }
 
 type TrajectoryProps = DatasetSourceProps & { datasets: readonly Dataset[]; dataset: Dataset; index: number };
 
 function Trajectory({ datasets, dataset, index, children }: TrajectoryProps) {
-  const [remote, retry] = useRemote((signal) => call("orchestrator/get-trajectory", { dataset: dataset.name, index }, { signal }), `${dataset.name}/${index}`);
+  const [remote, retry] = useRemote(
+    (signal) => call("orchestrator/get-trajectory", { dataset: dataset.name, index }, { signal }),
+    `${dataset.name}/${index}`,
+  );
   const [recording, setRecording] = useState<Recording | null>(null);
   const trajectory = remote.state === "ready" ? remote.value : null;
   useEffect(() => {
@@ -80,11 +97,19 @@ function recordingOf(dataset: Dataset, index: number, trajectory: GetTrajectoryR
 function framesOf(dataset: Dataset, index: number): PagedFrames {
   const { width, height } = dataset.cameras[0]!;
   const load = async (first: number, count: number): Promise<Blob[]> =>
-    (await loadFrames(dataset, index, first, count, 0)).map((each) => new Blob([fromBase64(each.data)], { type: `image/${each.encoding}` }));
+    (await loadFrames(dataset, index, first, count, 0)).map(
+      (each) => new Blob([fromBase64(each.data)], { type: `image/${each.encoding}` }),
+    );
   return new PagedFrames(width, height, load);
 }
 
-async function loadFrames(dataset: Dataset, index: number, first: number, count: number, max_side: number): Promise<readonly Image[]> {
+async function loadFrames(
+  dataset: Dataset,
+  index: number,
+  first: number,
+  count: number,
+  max_side: number,
+): Promise<readonly Image[]> {
   return (await call("orchestrator/get-frames", { dataset: dataset.name, index, first, count, max_side })).frames;
 }
 
@@ -93,7 +118,10 @@ function Picker({ datasets, dataset, index }: { datasets: readonly Dataset[]; da
     <>
       <label>
         Dataset
-        <select value={dataset.name} onChange={(event) => amend({ dataset: event.currentTarget.value, index: "", t: "" })}>
+        <select
+          value={dataset.name}
+          onChange={(event) => amend({ dataset: event.currentTarget.value, index: "", t: "" })}
+        >
           {datasets.map((each) => (
             <option key={each.name}>{each.name}</option>
           ))}
@@ -101,7 +129,13 @@ function Picker({ datasets, dataset, index }: { datasets: readonly Dataset[]; da
       </label>
       <label>
         Trajectory, 0 to {dataset.trajectories - 1}
-        <input type="number" min={0} max={dataset.trajectories - 1} value={index} onChange={(event) => amend({ index: event.currentTarget.value, t: "" })} />
+        <input
+          type="number"
+          min={0}
+          max={dataset.trajectories - 1}
+          value={index}
+          onChange={(event) => amend({ index: event.currentTarget.value, t: "" })}
+        />
       </label>
     </>
   );
@@ -136,7 +170,10 @@ function SegmentForm({ dataset, index, trajectory, onRecording }: SegmentFormPro
     <Shown remote={remote} what="segmentation models" retry={retry}>
       {(models) => {
         const fitting = models.filter((each) => fits(each, dataset));
-        if (fitting.length === 0) return <p class="faint">No active segmentation model takes its frames and actions. Fit one under Runs and fits.</p>;
+        if (fitting.length === 0)
+          return (
+            <p class="faint">No active segmentation model takes its frames and actions. Fit one under Runs and fits.</p>
+          );
         return (
           <form class="stacked" onSubmit={(event) => void segment(event)}>
             <label>
@@ -164,9 +201,15 @@ function fits(model: ListSkillsResponse, dataset: Dataset): boolean {
   return hasSize && (model.action_size === 0 || model.action_size === dataset.action?.size);
 }
 
-async function segmented(dataset: Dataset, index: number, trajectory: GetTrajectoryResponse, model: string): Promise<Recording> {
+async function segmented(
+  dataset: Dataset,
+  index: number,
+  trajectory: GetTrajectoryResponse,
+  model: string,
+): Promise<Recording> {
   const images: Image[] = [];
-  while (images.length < trajectory.timesteps) images.push(...(await loadFrames(dataset, index, images.length, PAGE, WHOLE_SIDE)));
+  while (images.length < trajectory.timesteps)
+    images.push(...(await loadFrames(dataset, index, images.length, PAGE, WHOLE_SIDE)));
   const request = { model: { name: model }, images, actions: trajectory.actions ?? undefined, smoothing: 1 };
   const answer = await call("segmentation/segment", request);
   return {

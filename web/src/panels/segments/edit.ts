@@ -48,7 +48,10 @@ export function moveBoundary(edited: Edited, index: number, to: number): Edited 
   if (!left || !right) return edited;
   const at = Math.min(Math.max(Math.round(to), left.start + 1), right.end - 1);
   if (at === right.start) return edited;
-  return replaced(edited, index - 1, 2, [{ ...left, end: at }, { ...right, start: at }]);
+  return replaced(edited, index - 1, 2, [
+    { ...left, end: at },
+    { ...right, start: at },
+  ]);
 }
 
 /** Cuts the segment that has a timestep before it. */
@@ -56,7 +59,10 @@ export function split(edited: Edited, timestep: number): Edited {
   const index = indexAt(edited.segments, timestep);
   const cut = edited.segments[index]!;
   if (cut.start >= timestep) return edited;
-  return replaced(edited, index, 1, [{ ...cut, end: timestep }, { ...cut, start: timestep }]);
+  return replaced(edited, index, 1, [
+    { ...cut, end: timestep },
+    { ...cut, start: timestep },
+  ]);
 }
 
 /** Joins segment `index` to the one before it, whose skill it takes; the first joins the second. */

@@ -55,8 +55,17 @@ export function SegmentsPanel() {
         </nav>
       </div>
       {source === "demonstration" && <Demonstration />}
-      {source === "dataset" && <DatasetSource>{(recording, picker) => <Viewer recording={recording} aside={picker} asideTitle="Trajectory" />}</DatasetSource>}
-      {source === "video" && (segmented ? <Viewer recording={segmented} aside={form} asideTitle="Segment another video" /> : <div class="card narrow">{form}</div>)}
+      {source === "dataset" && (
+        <DatasetSource>
+          {(recording, picker) => <Viewer recording={recording} aside={picker} asideTitle="Trajectory" />}
+        </DatasetSource>
+      )}
+      {source === "video" &&
+        (segmented ? (
+          <Viewer recording={segmented} aside={form} asideTitle="Segment another video" />
+        ) : (
+          <div class="card narrow">{form}</div>
+        ))}
     </div>
   );
 }
@@ -71,7 +80,15 @@ function Demonstration() {
 }
 
 /** A recording, its labels and what can be done to them. */
-export function Viewer({ recording, aside, asideTitle }: { recording: Recording; aside?: ComponentChildren; asideTitle?: string }) {
+export function Viewer({
+  recording,
+  aside,
+  asideTitle,
+}: {
+  recording: Recording;
+  aside?: ComponentChildren;
+  asideTitle?: string;
+}) {
   const [editor, setEditor] = useState<Editor | null>(null);
   useEffect(() => {
     const opened = new Editor(recording);
@@ -103,7 +120,11 @@ export function Viewer({ recording, aside, asideTitle }: { recording: Recording;
           </details>
         )}
         <h2>
-          Labels <span class="faint">by {editor.isChanged ? "you and " : ""}{recording.labelledBy}</span>
+          Labels{" "}
+          <span class="faint">
+            by {editor.isChanged ? "you and " : ""}
+            {recording.labelledBy}
+          </span>
         </h2>
         <SegmentTable editor={editor} />
         <div class="buttons">
@@ -152,7 +173,10 @@ function Transport({ editor }: { editor: Editor }) {
         </button>
       ))}
       <output class="clock">
-        {seconds.toFixed(2)} s <span class="faint">timestep {editor.timestep.value} of {editor.recording.timesteps}</span>
+        {seconds.toFixed(2)} s{" "}
+        <span class="faint">
+          timestep {editor.timestep.value} of {editor.recording.timesteps}
+        </span>
       </output>
       <ul class="legend" aria-label="Legend">
         <li>

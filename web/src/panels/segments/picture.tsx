@@ -17,7 +17,8 @@ export function Stage({ editor }: { editor: Editor }) {
   useSignalEffect(() => {
     const timestep = editor.timestep.value;
     wanted.current = timestep;
-    if (recording.frames && canvas.current) void draw(recording.frames, canvas.current, timestep, () => wanted.current === timestep);
+    if (recording.frames && canvas.current)
+      void draw(recording.frames, canvas.current, timestep, () => wanted.current === timestep);
   });
   const segment = editor.segments[editor.current.value]!;
   const confidence = recording.confidence[editor.timestep.value];
@@ -39,14 +40,21 @@ export function Stage({ editor }: { editor: Editor }) {
       <figcaption>
         <span class={`skill-name ${skillClass(recording.skills, segment.skill)}`}>{segment.skill || "no skill"}</span>
         {confidence !== undefined && <span>confidence {confidence.toFixed(2)}</span>}
-        {familiar !== undefined && familiar < UNFAMILIAR && <span class="unfamiliar-flag">unlike the training data</span>}
+        {familiar !== undefined && familiar < UNFAMILIAR && (
+          <span class="unfamiliar-flag">unlike the training data</span>
+        )}
       </figcaption>
     </figure>
   );
 }
 
 /** Draws a frame unless another is wanted by the time it is there. */
-async function draw(frames: Frames, canvas: HTMLCanvasElement, timestep: number, isWanted: () => boolean): Promise<void> {
+async function draw(
+  frames: Frames,
+  canvas: HTMLCanvasElement,
+  timestep: number,
+  isWanted: () => boolean,
+): Promise<void> {
   const context = canvas.getContext("2d")!;
   await Promise.resolve();
   if (!isWanted()) return;
@@ -74,7 +82,13 @@ export function Filmstrip({ editor }: { editor: Editor }) {
   return frames ? <canvas ref={canvas} class="filmstrip" height={THUMBNAIL_HEIGHT} aria-hidden="true" /> : null;
 }
 
-async function drawStrip(frames: Frames, canvas: HTMLCanvasElement, timesteps: number, turn: number, now: () => number) {
+async function drawStrip(
+  frames: Frames,
+  canvas: HTMLCanvasElement,
+  timesteps: number,
+  turn: number,
+  now: () => number,
+) {
   canvas.width = canvas.clientWidth;
   const context = canvas.getContext("2d")!;
   const width = (frames.width / frames.height) * THUMBNAIL_HEIGHT;

@@ -42,7 +42,8 @@ export function segmentsOf(labels: readonly number[], skills: readonly string[])
   labels.forEach((label, timestep) => {
     const last = segments.at(-1);
     const skill = skills[label] ?? "";
-    if (last && last.end === timestep && last.skill === skill) segments[segments.length - 1] = { ...last, end: timestep + 1 };
+    if (last && last.end === timestep && last.skill === skill)
+      segments[segments.length - 1] = { ...last, end: timestep + 1 };
     else segments.push({ start: timestep, end: timestep + 1, skill });
   });
   return segments.filter((each) => each.skill !== "");

@@ -52,7 +52,10 @@ function Row({ editor, index, segment }: { editor: Editor; index: number; segmen
   const confidence = confidenceOf(recording, segment);
   const number = `segment ${index + 1}`;
   return (
-    <tr class={index === editor.current.value ? "current" : ""} aria-current={index === editor.current.value ? "true" : undefined}>
+    <tr
+      class={index === editor.current.value ? "current" : ""}
+      aria-current={index === editor.current.value ? "true" : undefined}
+    >
       <td>
         <button
           type="button"
@@ -71,7 +74,9 @@ function Row({ editor, index, segment }: { editor: Editor; index: number; segmen
           disabled={index === 0}
           min={0}
           max={recording.timesteps - 1}
-          onChange={(event) => editor.change(edit.moveBoundary(editor.edited.value, index, event.currentTarget.valueAsNumber || 0))}
+          onChange={(event) =>
+            editor.change(edit.moveBoundary(editor.edited.value, index, event.currentTarget.valueAsNumber || 0))
+          }
         />
       </td>
       <td class="number" title={`${timeOf(recording, segment.end).toFixed(2)} s`}>
@@ -79,7 +84,13 @@ function Row({ editor, index, segment }: { editor: Editor; index: number; segmen
       </td>
       <td class="number">{confidence === null ? "–" : confidence.toFixed(2)}</td>
       <td>
-        <button type="button" class="quiet" aria-label={`Join ${number} to the one before`} disabled={editor.segments.length < 2} onClick={() => editor.join(index)}>
+        <button
+          type="button"
+          class="quiet"
+          aria-label={`Join ${number} to the one before`}
+          disabled={editor.segments.length < 2}
+          onClick={() => editor.join(index)}
+        >
           join
         </button>
       </td>

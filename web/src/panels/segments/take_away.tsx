@@ -11,8 +11,17 @@ import { timeOf } from "./recording";
 
 export function TakeAway({ editor }: { editor: Editor }) {
   const { recording } = editor;
-  const name = recording.title.toLowerCase().replace(/\.\w+$/, "").replace(/[^a-z0-9]+/g, "-").slice(0, 40);
-  const asVtt = (): void => saveFile(`${name}.vtt`, webVtt(editor.segments, (each) => timeOf(recording, each)), "text/vtt");
+  const name = recording.title
+    .toLowerCase()
+    .replace(/\.\w+$/, "")
+    .replace(/[^a-z0-9]+/g, "-")
+    .slice(0, 40);
+  const asVtt = (): void =>
+    saveFile(
+      `${name}.vtt`,
+      webVtt(editor.segments, (each) => timeOf(recording, each)),
+      "text/vtt",
+    );
   const asCsv = (): void => saveFile(`${name}.csv`, csv(editor.segments, recording.saved?.index ?? 0), "text/csv");
   return (
     <>
@@ -37,7 +46,10 @@ function SaveLabels({ editor, saved }: { editor: Editor; saved: { dataset: strin
     setProblem(null);
     const segments = editor.segments;
     try {
-      await call("orchestrator/save-labels", { ...saved, segments: segments.map(({ start, end, skill }) => ({ start, end, skill })) });
+      await call("orchestrator/save-labels", {
+        ...saved,
+        segments: segments.map(({ start, end, skill }) => ({ start, end, skill })),
+      });
       setSaved(segments);
       say("Labels saved");
     } catch (error) {

@@ -22,7 +22,8 @@ export function Timeline({ editor }: { editor: Editor }) {
     bar.current!.setPointerCapture(event.pointerId);
     const at = timestepOf(event);
     const near = editor.nearestBoundary(at);
-    const pixels = (Math.abs((editor.segments[near]?.start ?? 0) - at) / recording.timesteps) * bar.current!.clientWidth;
+    const pixels =
+      (Math.abs((editor.segments[near]?.start ?? 0) - at) / recording.timesteps) * bar.current!.clientWidth;
     grabbed.current = near > 0 && pixels <= GRAB_PX ? near : 0;
     if (grabbed.current === 0) editor.goTo(Math.floor(at));
   };
@@ -91,7 +92,10 @@ function Unfamiliar({ recording }: { recording: Recording }) {
   return (
     <div class="unfamiliar">
       {spans.map((each) => (
-        <div key={each.start} style={{ left: percent(each.start, recording), width: percent(each.end - each.start, recording) }} />
+        <div
+          key={each.start}
+          style={{ left: percent(each.start, recording), width: percent(each.end - each.start, recording) }}
+        />
       ))}
     </div>
   );
@@ -99,7 +103,8 @@ function Unfamiliar({ recording }: { recording: Recording }) {
 
 function Axis({ recording }: { recording: Recording }) {
   const seconds = timeOf(recording, recording.timesteps);
-  const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600].find((each) => seconds / each <= 8) ?? 3600;
+  const step =
+    [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600].find((each) => seconds / each <= 8) ?? 3600;
   const marks = Array.from({ length: Math.floor(seconds / step) + 1 }, (_, index) => index * step);
   return (
     <div class="axis" aria-hidden="true">

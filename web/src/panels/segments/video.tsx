@@ -11,7 +11,11 @@ import { describeModel, type Recording } from "./recording";
 
 const DEFAULT_FPS = 10;
 
-export function VideoForm(props: { file: File | null; onFile: (file: File) => void; onRecording: (recording: Recording) => void }) {
+export function VideoForm(props: {
+  file: File | null;
+  onFile: (file: File) => void;
+  onRecording: (recording: Recording) => void;
+}) {
   const [remote, retry] = useRemote(listModels, "segmentation models");
   return (
     <Shown remote={remote} what="segmentation models" retry={retry}>
@@ -35,10 +39,10 @@ interface FormProps {
 }
 
 function Form({ file, models, onFile, onRecording }: FormProps) {
-  const [chosen, setChosen] = useState(0);
+  const [chosen, setChosen] = useState("");
   const [isBusy, setBusy] = useState(false);
   const [problem, setProblem] = useState<Problem | null>(null);
-  const model = models[chosen];
+  const model = models.find((each) => each.model!.name === chosen) ?? models[0];
   const segment = async (event: Event): Promise<void> => {
     event.preventDefault();
     const form = new FormData(event.currentTarget as HTMLFormElement);
@@ -58,25 +62,31 @@ function Form({ file, models, onFile, onRecording }: FormProps) {
     <form class="stacked" onSubmit={(event) => void segment(event)}>
       <label>
         Video (mp4, m4v or mov; or drop one anywhere here)
-        <input type="file" accept="video/mp4,video/quicktime,.m4v" onChange={(event) => event.currentTarget.files?.[0] && onFile(event.currentTarget.files[0])} />
+        <input
+          type="file"
+          accept="video/mp4,video/quicktime,.m4v"
+          onChange={(event) => event.currentTarget.files?.[0] && onFile(event.currentTarget.files[0])}
+        />
       </label>
       {file && <p class="faint">{file.name}</p>}
       <label>
         Model
-        <select value={chosen} onChange={(event) => setChosen(Number(event.currentTarget.value))}>
-          {models.map((each, index) => (
-            <option key={each.model!.name} value={index}>
+        <select name="model" value={model.model!.name} onChange={(event) => setChosen(event.currentTarget.value)}>
+          {models.map((each) => (
+            <option key={each.model!.name} value={each.model!.name}>
               {each.model!.name}: {each.skills.join(", ")}
             </option>
           ))}
         </select>
       </label>
       <p class="faint">
-        It was trained on {model.width} × {model.height} {model.channels === 1 ? "gray" : "colour"} frames; a video is stretched to that.
+        It was trained on {model.width} × {model.height} {model.channels === 1 ? "gray" : "colour"} frames; a video is
+        stretched to that.
       </p>
       {model.action_size > 0 && (
         <label>
-          Executed actions (CSV, a row of {model.action_size} {model.action_size === 1 ? "number" : "numbers"} for each timestep; this model needs them)
+          Executed actions (CSV, a row of {model.action_size} {model.action_size === 1 ? "number" : "numbers"} for each
+          timestep; this model needs them)
           <input type="file" name="actions" accept=".csv,text/csv,text/plain" required />
         </label>
       )}
@@ -92,7 +102,12 @@ function Form({ file, models, onFile, onRecording }: FormProps) {
   );
 }
 
-async function segmentVideo(file: File, model: ListSkillsResponse, actions: File | null, smoothing: number): Promise<Recording> {
+async function segmentVideo(
+  file: File,
+  model: ListSkillsResponse,
+  actions: File | null,
+  smoothing: number,
+): Promise<Recording> {
   const form = new FormData();
   form.set("video", file);
   form.set("resize", "true");

@@ -52,7 +52,9 @@ export function Health() {
   return (
     <span class={`health ${missing.length > 0 ? "warning" : ""}`}>
       <Link to={{ view: "services" }} current={query.value.view === "services"}>
-        {missing.length === 0 ? `${ready} of ${SERVICES.length} ready` : missing.map((each) => `${each} ${readiness.value[each]}`).join(", ")}
+        {missing.length === 0
+          ? `${ready} of ${SERVICES.length} ready`
+          : missing.map((each) => `${each} ${readiness.value[each]}`).join(", ")}
       </Link>
     </span>
   );

@@ -40,7 +40,8 @@ function ServiceCard({ service, turn }: { service: Service; turn: number }) {
       <p class="faint">{DOES[service]}</p>
       {state === "away" ? (
         <p class="service-away">
-          Nobody answers. Start all services with <code>freerein up</code>, or look at why with <code>freerein doctor {service}</code>.
+          Nobody answers. Start all services with <code>freerein up</code>, or look at why with{" "}
+          <code>freerein doctor {service}</code>.
         </p>
       ) : (
         <Shown remote={remote} what="figures" retry={retry}>
@@ -65,11 +66,14 @@ const versions = new Map<Service, string>();
 async function figuresOf(service: Service, signal: AbortSignal): Promise<Record<string, string>> {
   const metrics = parseMetrics(await (await send(`${prefixOf(service)}/metrics`, { signal })).text());
   if (!versions.has(service)) {
-    const document = (await (await send(`${prefixOf(service)}/openapi.json`, { signal })).json()) as { info: { version: string } };
+    const document = (await (await send(`${prefixOf(service)}/openapi.json`, { signal })).json()) as {
+      info: { version: string };
+    };
     versions.set(service, document.info.version);
   }
   const isUnary = (labels: Sample["labels"]): boolean => labels.method !== "other";
-  const isReject = (labels: Sample["labels"]): boolean => ["overloaded", "too_large", "deadline_exceeded"].includes(labels.code ?? "");
+  const isReject = (labels: Sample["labels"]): boolean =>
+    ["overloaded", "too_large", "deadline_exceeded"].includes(labels.code ?? "");
   return {
     version: versions.get(service)!,
     calls: String(sum(metrics, "freerein_calls_total", isUnary)),

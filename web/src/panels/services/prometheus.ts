@@ -20,7 +20,11 @@ export function parseMetrics(text: string): Sample[] {
 }
 
 /** Returns the sum of the samples of a name whose labels are as given. */
-export function sum(samples: readonly Sample[], name: string, isMeant: (labels: Sample["labels"]) => boolean = () => true) {
+export function sum(
+  samples: readonly Sample[],
+  name: string,
+  isMeant: (labels: Sample["labels"]) => boolean = () => true,
+) {
   const meant = samples.filter((each) => each.name === name && isMeant(each.labels));
   return meant.reduce((total, each) => total + each.value, 0);
 }
