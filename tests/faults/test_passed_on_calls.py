@@ -235,6 +235,18 @@ def test_a_reply_that_breaks_off_is_no_whole_reply(page: Page) -> None:
         assert got.endswith(b"\r\n\r\n{")
 
 
+def test_a_service_with_another_token_is_no_reason_to_sign_in_again(page: Page) -> None:
+    request = f"GET /services/sim/v1/list-tasks HTTP/1.1\r\nhost: localhost\r\nauthorization: Bearer {TOKEN}\r\n\r\n"
+    line = page.begin(request.encode())
+    with line.ours, line.theirs:
+        asked = _until(line.theirs, lambda got: got.endswith(b"\r\n\r\n"))
+        assert f"authorization: Bearer {TOKEN}".encode() in asked.lower().replace(b"bearer", b"Bearer")
+        line.theirs.sendall(b"HTTP/1.1 401 \r\ncontent-length: 0\r\n\r\n")
+        got = _until(line.ours, lambda got: got.endswith(b"}"))
+        assert got.startswith(b"HTTP/1.1 503 ")
+        assert b"same FREEREIN_TOKEN" in got
+
+
 def test_events_are_passed_on_and_taken_up_after_the_last_one(page: Page) -> None:
     config = {"steps": 1_000_000, "features": 8, "hidden_size": 8}
     started = page.http.post(f"{SEGMENTATION}/v1/start-fit", json={"dataset": "demos", "config": config})

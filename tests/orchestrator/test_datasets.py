@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +117,14 @@ async def test_frames_are_of_the_first_camera_and_never_enlarged(service: Datase
     assert (len(shown.frames), shown.frames[0].camera, shown.frames[0].width) == (32, "front", 64)
     (gray,) = (await service.get_frames(GetFramesRequest("demos", camera="wrist", count=1))).frames
     assert np.asarray(PIL.Image.open(io.BytesIO(gray.data))).shape == (20, 40)
+
+
+async def test_large_frames_come_a_few_at_a_time(data_dir: Path, service: DatasetService) -> None:
+    spec = replace(SPEC, cameras={"front": (4000, 4000, 1)})
+    with create(data_dir / "datasets" / "large", spec) as writer:
+        writer.append(Trajectory({"front": np.zeros((3, 4000, 4000, 1), np.uint8)}, np.zeros((3, 2), np.float32)))
+    shown = await service.get_frames(GetFramesRequest("large", max_side=16))
+    assert [(image.height, image.width) for image in shown.frames] == [(16, 16)] * 2
 
 
 async def test_a_trajectory_has_its_tags_actions_and_the_labels_of_a_model(

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from freerein import images
 from freerein.data import Dataset, check, dataset_path, hand_labels, labels
 from freerein.data.label_segments import to_segments
 from freerein.data.lookup import choose_camera, dataset_names, open_dataset
@@ -27,7 +26,7 @@ from freerein.types.orchestrator import LabelSegment
 T = TypeVar("T")
 
 _PAGE, _LARGEST_PAGE = 100, 1000
-_FRAMES, _MOST_FRAMES = 32, 64
+_FRAMES, _MOST_FRAMES, _MOST_PIXELS = 32, 64, 2**25
 _SIDE, _LEAST_SIDE, _GREATEST_SIDE = 256, 16, 1024
 _MOST_NUMBERS = 100_000
 _JPEG = {"quality": 90, "subsampling": 0}  # colours as fine as brightness: frames are small, and shown large
@@ -111,8 +110,10 @@ class DatasetService:
                 hint = "Timesteps are counted from 0."
                 raise must_be("first", f"below {timesteps}, the trajectory's timesteps", request.first, hint=hint)
             camera = choose_camera(dataset, request.camera, of_model=next(iter(dataset.spec.cameras)))
-            pixels = dataset.frames(request.index, camera, slice(request.first, request.first + count))
-            pictures = tuple(_picture(each, camera) for each in _scaled_down(pixels, side))
+            height, width, _ = dataset.spec.cameras[camera]
+            part = slice(request.first, request.first + min(count, max(1, _MOST_PIXELS // (height * width))))
+            pixels = dataset.frames(request.index, camera, part, size=_scaled_down(height, width, side))
+            pictures = tuple(_picture(each, camera) for each in pixels)
             return orchestrator.GetFramesResponse(pictures, request.first, timesteps)
 
         return await _in_thread(self._threads, frames)
@@ -170,11 +171,10 @@ def _known_skills(root: Path, dataset: Dataset) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*dataset.spec.skills, *of_model)))
 
 
-def _scaled_down(frames: npt.NDArray[np.uint8], side: int) -> npt.NDArray[np.uint8]:
-    """Returns frames (T, H, W, C) whose height and width are at most `side`, in their proportions."""
-    height, width = frames.shape[1:3]
+def _scaled_down(height: int, width: int, side: int) -> tuple[int, int] | None:
+    """Returns a height and width of at most `side` in the same proportions; None where they are not above it."""
     ratio = side / max(height, width)
-    return images.resize(frames, (max(1, round(height * ratio)), max(1, round(width * ratio)))) if ratio < 1 else frames
+    return (max(1, round(height * ratio)), max(1, round(width * ratio))) if ratio < 1 else None
 
 
 def _picture(pixels: npt.NDArray[np.uint8], camera: str) -> Image:

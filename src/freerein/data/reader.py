@@ -147,12 +147,14 @@ class Dataset:
         """Yields the first frame of some trajectories, uint8 (H, W, C); raises as `stream`."""
         return (frames[0] for frames in self._frames(items, camera, part=slice(1)))
 
-    def frames(self, index: int, camera: str, part: slice) -> npt.NDArray[np.uint8]:
+    def frames(
+        self, index: int, camera: str, part: slice, *, size: tuple[int, int] | None = None
+    ) -> npt.NDArray[np.uint8]:
         """Returns some frames of one trajectory, uint8 (n, H, W, C), without decoding others; raises as `stream`.
 
-        Of a video, those before them are decoded, too.
+        Of a video, those before them are decoded, too. `size` is the height and width to scale them to.
         """
-        return next(self._frames([range(len(self))[index]], camera, part=part))
+        return next(self._frames([range(len(self))[index]], camera, size=size, part=part))
 
     @property
     def fingerprint(self) -> str:

@@ -264,7 +264,7 @@ class GetFramesRequest:
         index: Of the trajectory, from 0.
         camera: Empty for the dataset's first.
         first: First timestep.
-        count: At most so many frames, of 64; 0 for 32.
+        count: At most so many frames, of 64; 0 for 32. Large ones are fewer: of 2^25 pixels together, or one.
         max_side: Greatest height and width in pixels, 16 to 1024: larger frames are scaled down; 0 for 256.
     """
 

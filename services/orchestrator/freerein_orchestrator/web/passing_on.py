@@ -70,6 +70,7 @@ class PassedOn:
                 resources.enter_context(self._slots.hold())
                 reply = await self._send(request, path)
                 resources.push_async_callback(reply.aclose)
+                self._check_token(reply)
                 headers = {name: reply.headers[name] for name in _ANSWERED if name in reply.headers}
                 if reply.status_code in (400, 408, 413):
                     headers["connection"] = "close"  # the end of this request's body is unknown, or still to come
@@ -98,6 +99,14 @@ class PassedOn:
         async with while_connected(request, body_read=is_sent):
             with self._errors():
                 return await self._client.send(asked, stream=True)
+
+    def _check_token(self, reply: httpx.Response) -> None:
+        """Raises Unavailable where the service has another token: a 401 would send the page to sign in again."""
+        if reply.status_code == 401:
+            raise Unavailable(
+                f"The {self._name} service at {self._url} must have the token of the orchestrator; it has another.",
+                hint="Start all services with the same FREEREIN_TOKEN.",
+            )
 
     async def _content(self, reply: httpx.Response) -> AsyncIterator[bytes]:
         with self._errors():

@@ -1027,7 +1027,7 @@ class GetFramesRequest(_message.Message):
     first: _builtins.int
     """First timestep wanted."""
     count: _builtins.int
-    """Maximum number of frames to return, at most 64; 0 for 32."""
+    """Maximum number of frames to return, at most 64; 0 for 32. Large ones are fewer: of 2^25 pixels together, or one."""
     max_side: _builtins.int
     """Greatest height and width in pixels, 16 to 1024: larger frames are scaled down; 0 for 256."""
     def __init__(
@@ -1063,7 +1063,7 @@ class GetFramesResponse(_message.Message):
     """Timesteps of the trajectory."""
     @_builtins.property
     def frames(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Image]:
-        """JPEG files; fewer than asked for at the end of the trajectory."""
+        """JPEG files, at least one; fewer than asked for at the end of the trajectory."""
 
     def __init__(
         self,
