@@ -65,29 +65,50 @@ export function jobOf(message: { run?: Run | null; fit?: Fit | null }, owner: Ow
 export interface Jobs {
   readonly jobs: readonly Job[];
   /** Services that did not answer. */
+  /** Whether a service has older ones, too. */
+  readonly areMore: boolean;
   readonly away: readonly { readonly owner: Owner; readonly problem: Problem }[];
 }
 
-const PAGE_SIZE = 1000;
+export const FEW_JOBS = 100;
+export const MOST_JOBS = 1000;
 
-/** Returns the newest jobs of all services; one that is away hides only its own. */
-export async function listJobs(signal: AbortSignal): Promise<Jobs> {
+/** Returns the newest jobs of all services; one that is away hides only its own.
+ *
+ * @param most Number of jobs of each service, at most 1000.
+ */
+export async function listJobs(signal: AbortSignal, most = MOST_JOBS): Promise<Jobs> {
   const answers = await Promise.all(
-    OWNERS.map(async (owner) => ({ owner, found: await listOf(owner, signal).catch(asProblem) })),
+    OWNERS.map(async (owner) => ({ owner, found: await listOf(owner, most, signal).catch(asProblem) })),
   );
   const jobs = answers.flatMap(({ found }) => (found instanceof Problem ? [] : found));
   const away = answers.flatMap(({ owner, found }) => (found instanceof Problem ? [{ owner, problem: found }] : []));
   if (away.length === OWNERS.length) throw away[0]!.problem;
-  return { jobs: jobs.sort((a, b) => b.time - a.time), away };
+  const areMore = answers.some(({ found }) => !(found instanceof Problem) && found.length >= most);
+  return { jobs: jobs.sort((a, b) => b.time - a.time), areMore, away };
 }
 
-async function listOf(owner: Owner, signal: AbortSignal): Promise<Job[]> {
+/** Returns the newest jobs of a service; its pages may be shorter than asked for. */
+async function listOf(owner: Owner, most: number, signal: AbortSignal): Promise<Job[]> {
+  const jobs: Job[] = [];
+  let page_token = "";
+  do {
+    const page = await pageOf(owner, { page_size: most, page_token }, signal);
+    jobs.push(...page.jobs);
+    page_token = page.next;
+  } while (page_token !== "" && jobs.length < most);
+  return jobs;
+}
+
+type PageRequest = { readonly page_size: number; readonly page_token: string };
+
+async function pageOf(owner: Owner, request: PageRequest, signal: AbortSignal): Promise<{ jobs: Job[]; next: string }> {
   if (owner === "orchestrator") {
-    return (await call("orchestrator/list-runs", { page_size: PAGE_SIZE }, { signal })).runs.map(jobOfRun);
+    const { runs, next_page_token } = await call("orchestrator/list-runs", request, { signal });
+    return { jobs: runs.map(jobOfRun), next: next_page_token };
   }
-  return (await call(`${owner}/list-fits`, { page_size: PAGE_SIZE }, { signal })).fits.map((fit) =>
-    jobOfFit(fit, owner),
-  );
+  const { fits, next_page_token } = await call(`${owner}/list-fits`, request, { signal });
+  return { jobs: fits.map((fit) => jobOfFit(fit, owner)), next: next_page_token };
 }
 
 /** Path of the job's stream of events. */

@@ -5,30 +5,31 @@ import { Link } from "../../parts/link";
 import { Empty, Failed, Shown } from "../../parts/notice";
 import { useTicks } from "../../parts/ticks";
 import { amend, query } from "../../url/location";
-import { listJobs, type Job, type Jobs } from "./job";
+import { FEW_JOBS, listJobs, MOST_JOBS, type Job, type Jobs } from "./job";
 import { StateBadge } from "./state_badge";
 import { truthSeen } from "./truth";
 
 const PERIOD_MS = 3000;
-const MOST_ROWS = 200;
+const TIME = new Intl.DateTimeFormat(undefined, { dateStyle: "short", timeStyle: "medium" });
 
 export function JobList() {
   const turn = useTicks(PERIOD_MS);
-  const [remote, retry] = useRemote(listJobs, "jobs", turn);
+  const [most, setMost] = useState(FEW_JOBS);
+  const [remote, retry] = useRemote((signal) => listJobs(signal, most), "jobs", turn + (most === FEW_JOBS ? 0 : 0.5));
   return (
     <Shown remote={remote} what="runs and fits" retry={retry}>
-      {(jobs) => <Table {...jobs} retry={retry} />}
+      {(jobs) => (
+        <Table {...jobs} retry={retry} more={jobs.areMore && most === FEW_JOBS ? () => setMost(MOST_JOBS) : null} />
+      )}
     </Shown>
   );
 }
 
-function Table({ jobs, away, retry }: Jobs & { retry: () => void }) {
-  const [showsAll, setShowsAll] = useState(false);
+function Table({ jobs, away, retry, more }: Jobs & { retry: () => void; more: (() => void) | null }) {
   const wanted = (query.value.filter ?? "").toLowerCase();
   const found = jobs.filter((each) =>
     `${each.kind} ${each.about} ${each.state} ${each.id}`.toLowerCase().includes(wanted),
   );
-  const shown = showsAll ? found : found.slice(0, MOST_ROWS);
   return (
     <>
       {away.map(({ owner, problem }) => (
@@ -60,17 +61,17 @@ function Table({ jobs, away, retry }: Jobs & { retry: () => void }) {
                 </tr>
               </thead>
               <tbody>
-                {shown.map((each) => (
+                {found.map((each) => (
                   <Row key={each.id} job={each} />
                 ))}
               </tbody>
             </table>
           </div>
           <p class="faint">
-            {found.length} of {jobs.length} shown{shown.length < found.length ? `, the newest ${MOST_ROWS} below` : ""}.{" "}
-            {found.length > MOST_ROWS && (
-              <button type="button" onClick={() => setShowsAll(!showsAll)}>
-                {showsAll ? "Show fewer" : "Show all"}
+            {found.length} of {jobs.length} shown.{" "}
+            {more && (
+              <button type="button" onClick={more}>
+                Show older ones
               </button>
             )}
           </p>
@@ -100,13 +101,7 @@ function Row({ job }: { job: Job }) {
       <td class="number">
         {job.step} / {job.steps}
       </td>
-      <td>
-        {job.time > 0 ? (
-          <time dateTime={new Date(job.time).toISOString()}>{new Date(job.time).toLocaleString()}</time>
-        ) : (
-          "–"
-        )}
-      </td>
+      <td>{job.time > 0 ? <time dateTime={new Date(job.time).toISOString()}>{TIME.format(job.time)}</time> : "–"}</td>
       <td>
         {first === undefined || first === name ? (
           <button

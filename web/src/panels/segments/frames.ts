@@ -12,6 +12,8 @@ export interface Frames {
   readonly height: number;
   /** Draws the frame of a timestep; false where it has none. */
   draw(context: CanvasRenderingContext2D, timestep: number, box: Box): Promise<boolean>;
+  /** Draws a frame whose neighbours are not wanted. */
+  drawAlone?(context: CanvasRenderingContext2D, timestep: number, box: Box): Promise<boolean>;
   close(): void;
 }
 
@@ -117,6 +119,13 @@ export class PagedFrames implements Frames {
     const page = await this.page(Math.floor(timestep / PAGE));
     const image = page[timestep % PAGE];
     if (image) context.drawImage(image, box.x, box.y, box.width, box.height);
+    return image !== undefined;
+  }
+
+  async drawAlone(context: CanvasRenderingContext2D, timestep: number, box: Box): Promise<boolean> {
+    if (this.pages.has(Math.floor(timestep / PAGE))) return this.draw(context, timestep, box);
+    const [image] = await this.load(timestep, 1);
+    if (image) context.drawImage(await createImageBitmap(image), box.x, box.y, box.width, box.height);
     return image !== undefined;
   }
 

@@ -56,7 +56,7 @@ async function draw(
   isWanted: () => boolean,
 ): Promise<void> {
   const context = canvas.getContext("2d")!;
-  await Promise.resolve();
+  await new Promise(requestAnimationFrame);
   if (!isWanted()) return;
   await frames.draw(context, timestep, { x: 0, y: 0, width: canvas.width, height: canvas.height }).catch(() => false);
 }
@@ -96,7 +96,8 @@ async function drawStrip(
   for (let index = 0; index < count && now() === turn; index += 1) {
     const timestep = Math.min(timesteps - 1, Math.floor(((index + 0.5) / count) * timesteps));
     const box = { x: (index * canvas.width) / count, y: 0, width: canvas.width / count, height: THUMBNAIL_HEIGHT };
-    await frames.draw(context, timestep, box).catch(() => false);
+    const drawn = frames.drawAlone?.(context, timestep, box) ?? frames.draw(context, timestep, box);
+    await drawn.catch(() => false);
   }
 }
 
