@@ -155,6 +155,22 @@ def test_every_call_needs_the_token(page: Page, refusal: Any) -> None:
         refusal(httpx.get(page.url + path, trust_env=False), 401)
 
 
+@pytest.mark.fault("C27")
+def test_the_cookie_of_a_session_opens_every_door_to_the_own_page_alone(page: Page, refusal: Any) -> None:
+    with httpx.Client(base_url=page.url, timeout=120, trust_env=False, verify=False) as browser:
+        assert browser.post("/session", json={"token": TOKEN}).status_code == 204
+        doors = [("POST", f"{SEGMENTATION}/v1/segment"), ("GET", f"{SEGMENTATION}/v1/list-skills")]
+        doors += [("POST", "/v1/cancel-run"), ("GET", "/v1/list-datasets"), ("GET", "/v1/watch-run?id=" + "1" * 32)]
+        for method, path in doors:
+            for origin in ("http://elsewhere.example", "http://127.0.0.1:1", "null"):
+                problem = refusal(browser.request(method, path, headers={"origin": origin}), 403)
+                assert problem["code"] == "permission_denied"
+            own = browser.request(method, path, headers={"origin": page.url, "sec-fetch-site": "same-origin"})
+            assert own.status_code not in (401, 403), path
+            no_origin = browser.request(method, path)
+            assert (no_origin.status_code == 403) == (method == "POST"), path
+
+
 def test_a_service_that_is_away_is_named_with_what_to_do(page: Page, refusal: Any) -> None:
     begun = time.monotonic()
     problem = refusal(page.http.post("/services/reward/v1/reward", json={}), 503)
