@@ -69,11 +69,13 @@ def label_by_model(root: Path, *values: int) -> None:
 async def test_datasets_are_listed_by_name_and_a_damaged_one_says_why(data_dir: Path, service: DatasetService) -> None:
     root = data_dir / "datasets"
     (root / "torn" / "meta").mkdir(parents=True)
+    (root / "unread" / "meta").mkdir(parents=True)
+    (root / "unread" / "tags.json").symlink_to("/proc/self/mem")  # a regular file that cannot be read: EIO
     (root / ".import-12345678" / "meta").mkdir(parents=True)
     write_dataset(root / "arm")
     label_by_model(root / "demos", 0, 1)
     truth.save(root / "demos", 0, np.zeros(STEPS, np.int64))
-    arm, demos, torn = (await service.list_datasets(ListDatasetsRequest())).datasets
+    arm, demos, torn, unread = (await service.list_datasets(ListDatasetsRequest())).datasets
     assert (arm.name, arm.fps, arm.trajectories, arm.timesteps, arm.error) == ("arm", 10, 3, 15, "")
     assert demos.cameras == (Camera("front", 48, 64, 3), Camera("wrist", 20, 40, 1))
     assert (demos.goal_text, demos.skills, demos.tags) == ("tidy up", ("pick", "push"), {"pick": 2, "push": 1})
@@ -81,6 +83,7 @@ async def test_datasets_are_listed_by_name_and_a_damaged_one_says_why(data_dir: 
     assert (demos.labelled_by, demos.hand_labelled, demos.with_truth) == (MODEL, 0, 1)
     assert (torn.name, torn.trajectories) == ("torn", 0)
     assert "There must be a dataset" in torn.error
+    assert unread.error == "It cannot be read: Input/output error."
 
 
 async def test_pages_of_datasets_hold_each_of_them_once(data_dir: Path, service: DatasetService) -> None:

@@ -14,9 +14,15 @@ from freerein.types.common import Camera, ModelRef
 def overview(root: Path) -> orchestrator.Dataset:
     """Returns what is known of a dataset without its data files; why it cannot be opened where it is damaged."""
     try:
-        dataset = Dataset(root)
+        return _opened(root)
     except ServiceError as error:
         return orchestrator.Dataset(root.name, error=f"{error.detail} {error.hint}".strip())
+    except OSError as error:  # such as of one that is being deleted
+        return orchestrator.Dataset(root.name, error=f"It cannot be read: {error.strerror}.")
+
+
+def _opened(root: Path) -> orchestrator.Dataset:
+    dataset = Dataset(root)
     spec = dataset.spec
     return orchestrator.Dataset(
         name=root.name,
