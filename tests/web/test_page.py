@@ -2,6 +2,7 @@
 
 import base64
 import re
+import subprocess
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
@@ -46,6 +47,13 @@ def demos(stack: Stack, wait_until: Callable[..., float]) -> str:
     run = post(stack, "/v1/start-run", {"kind": "collect", "config": config})["run"]
     wait_until(lambda: get(stack, "/v1/get-run", id=run["id"])["run"]["state"] == "succeeded", 60)
     return "demos"
+
+
+def test_the_types_of_the_api_are_those_of_its_services(stack: Stack, node: str, tmp_path: Path) -> None:
+    command = [node, "tools/types.mjs", stack.url, str(tmp_path / "types.ts")]
+    subprocess.run(command, cwd=WEB, check=True, capture_output=True, timeout=60)
+    stale = "The types are stale: run `npm run types URL` in web/"
+    assert (tmp_path / "types.ts").read_text() == (WEB / "src/api/types.ts").read_text(), stale
 
 
 def test_the_first_screen_is_a_segmented_demonstration(watched: Watched) -> None:

@@ -115,7 +115,7 @@ function OverTime({ reward, at, goTo }: { reward: RewardResponse; at: number; go
       <span class="lane-label">{label}</span>
       <svg viewBox={`0 0 ${count} 1`} preserveAspectRatio="none" aria-hidden="true">
         {cells(isOn, kind)}
-        <rect class="here" x={at} y={0} width={1} height={1} />
+        <line class="here" x1={at + 0.5} x2={at + 0.5} y1={0} y2={1} />
       </svg>
     </div>
   );
@@ -133,7 +133,7 @@ function OverTime({ reward, at, goTo }: { reward: RewardResponse; at: number; go
         </span>
         <svg viewBox={`0 0 ${count} 1`} preserveAspectRatio="none" aria-hidden="true">
           <path d={line} />
-          <rect class="here" x={at} y={0} width={1} height={1} />
+          <line class="here" x1={at + 0.5} x2={at + 0.5} y1={0} y2={1} />
         </svg>
       </div>
       {reward.texts.map((each, text) =>

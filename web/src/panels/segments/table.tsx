@@ -25,7 +25,9 @@ export function SegmentTable({ editor }: { editor: Editor }) {
               <th scope="col">Skill</th>
               <th scope="col">Begin</th>
               <th scope="col">End</th>
-              <th scope="col">Sure</th>
+              <th scope="col">
+                <abbr title="Mean confidence of its timesteps">Conf.</abbr>
+              </th>
               <th scope="col">
                 <span class="unseen">Edit</span>
               </th>

@@ -61,7 +61,7 @@ function SaveLabels({ editor, saved }: { editor: Editor; saved: { dataset: strin
       <button type="button" class="main-action" disabled={isSaved} onClick={() => void save()}>
         {isSaved ? "Saved" : `Save as labels of ${saved.dataset}`}
       </button>
-      <p class="faint">Labels by a person measure how well a model labels; no fit learns from them.</p>
+      <p class="faint">They stand beside the dataset as labels by a person. No fit learns from them.</p>
       {problem && <Failed problem={problem} />}
     </>
   );

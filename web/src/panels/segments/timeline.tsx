@@ -18,17 +18,23 @@ export function Timeline({ editor }: { editor: Editor }) {
     return ((event.clientX - left) / width) * recording.timesteps;
   };
   const grabbed = useRef(0);
+  /** Returns the boundary that the pointer is at; 0 for none. */
+  const boundaryAt = (at: number): number => {
+    const near = editor.nearestBoundary(at);
+    const distance = Math.abs((editor.segments[near]?.start ?? 0) - at);
+    return near > 0 && (distance / recording.timesteps) * bar.current!.clientWidth <= GRAB_PX ? near : 0;
+  };
   const press = (event: PointerEvent): void => {
     bar.current!.setPointerCapture(event.pointerId);
     const at = timestepOf(event);
-    const near = editor.nearestBoundary(at);
-    const pixels =
-      (Math.abs((editor.segments[near]?.start ?? 0) - at) / recording.timesteps) * bar.current!.clientWidth;
-    grabbed.current = near > 0 && pixels <= GRAB_PX ? near : 0;
+    grabbed.current = boundaryAt(at);
     if (grabbed.current === 0) editor.goTo(Math.floor(at));
   };
   const move = (event: PointerEvent): void => {
-    if (!bar.current!.hasPointerCapture(event.pointerId)) return;
+    if (!bar.current!.hasPointerCapture(event.pointerId)) {
+      bar.current!.classList.toggle("at-boundary", boundaryAt(timestepOf(event)) > 0);
+      return;
+    }
     if (grabbed.current > 0) editor.drag(grabbed.current, timestepOf(event));
     else editor.goTo(Math.floor(timestepOf(event)));
   };
