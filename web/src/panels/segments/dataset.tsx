@@ -103,14 +103,15 @@ function framesOf(dataset: Dataset, index: number): PagedFrames {
   return new PagedFrames(width, height, load);
 }
 
-async function loadFrames(
-  dataset: Dataset,
-  index: number,
-  first: number,
-  count: number,
-  max_side: number,
-): Promise<readonly Image[]> {
-  return (await call("orchestrator/get-frames", { dataset: dataset.name, index, first, count, max_side })).frames;
+/** Returns `count` frames from `first` on, at the end of the trajectory fewer; a reply may have fewer than asked for. */
+async function loadFrames(dataset: Dataset, index: number, first: number, count: number, max_side: number) {
+  const frames: Image[] = [];
+  for (;;) {
+    const asked = { first: first + frames.length, count: count - frames.length };
+    const reply = await call("orchestrator/get-frames", { dataset: dataset.name, index, ...asked, max_side });
+    frames.push(...reply.frames);
+    if (frames.length >= count || first + frames.length >= reply.timesteps) return frames;
+  }
 }
 
 function Picker({ datasets, dataset, index }: { datasets: readonly Dataset[]; dataset: Dataset; index: number }) {
