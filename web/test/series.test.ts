@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { appended, checkpointSteps, markOf } from "../src/panels/runs/series";
+import { appended, checkpointSteps, inOrder, markOf } from "../src/panels/runs/series";
 import { truthSeen } from "../src/panels/runs/truth";
 
 const row = (step: number, value: number) => ({ step, metrics: { loss: value } });
@@ -40,4 +40,8 @@ test("what saw the truth is known, also within a pipeline", () => {
     truthSeen({ kind: "pipeline", config: { steps: [ppo, { kind: "evaluate", config: {} }] } }),
     /true states/,
   );
+});
+
+test("returns come before losses, and both before the rest", () => {
+  assert.deepEqual(inOrder(["lr", "train_loss", "episode_return"]), ["episode_return", "train_loss", "lr"]);
 });

@@ -7,6 +7,8 @@ import type { Mark } from "./series";
 
 const HEIGHT = 170;
 const TABLE_ROWS = 12;
+/** Distances of marks on the axis of steps. */
+const WHOLE_STEPS = [1, 10, 100, 1e3, 1e4, 1e5, 1e6].flatMap((each) => [each, 2 * each, 5 * each]);
 
 interface CurveProps {
   readonly name: string;
@@ -88,7 +90,7 @@ function optionsOf(element: HTMLElement, props: () => CurveProps): uPlot.Options
     cursor: { sync: { key: "steps" }, points: { size: 6 } },
     scales: { x: { time: false } },
     axes: [
-      { ...axis, size: 24, space: 60 },
+      { ...axis, size: 24, space: 60, incrs: WHOLE_STEPS },
       { ...axis, size: 52, values: (_, splits) => splits.map((each) => short(each)) },
     ],
     series: [

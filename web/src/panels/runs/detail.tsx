@@ -11,7 +11,7 @@ import { Artifacts } from "./artifacts";
 import { Curve } from "./curve";
 import { cancel, isOver, remove, resume, type Job, type Owner, OWNERS } from "./job";
 import { LiveJob } from "./live_job";
-import { checkpointSteps } from "./series";
+import { checkpointSteps, inOrder } from "./series";
 import { StateBadge } from "./state_badge";
 import { truthSeen } from "./truth";
 
@@ -115,7 +115,7 @@ function Head({ job, onResumed }: { job: Job; onResumed: () => void }) {
 function Curves({ live, other, job }: { live: LiveJob; other: LiveJob | null; job: Job }) {
   const [showsAll, setShowsAll] = useState(false);
   const series = live.series.value;
-  const names = Object.keys(series).sort();
+  const names = inOrder(Object.keys(series));
   const shown = showsAll ? names : names.slice(0, MOST_CURVES);
   if (names.length === 0) {
     return (

@@ -23,6 +23,12 @@ export function appended(series: Series, rows: readonly Row[]): Series {
   return { ...series, ...grown };
 }
 
+/** Returns the names of curves in the order in which people look for them: returns, then losses, then the rest. */
+export function inOrder(names: readonly string[]): string[] {
+  const rank = (name: string): number => (/return|reward|success/.test(name) ? 0 : /loss|accuracy/.test(name) ? 1 : 2);
+  return [...names].sort((a, b) => rank(a) - rank(b) || (a < b ? -1 : 1));
+}
+
 /** What happened at a step of a job. */
 export interface Mark {
   readonly step: number;

@@ -6,8 +6,8 @@ import { query } from "../../url/location";
 
 export type Readiness = "unknown" | "ready" | "not ready" | "away";
 
-const PERIOD_MS = 5000;
-const PATIENCE_MS = 4000;
+const PERIOD_MS = 3000;
+const PATIENCE_MS = 2500;
 
 export const readiness = signal<Readonly<Record<Service, Readiness>>>({
   orchestrator: "unknown",
