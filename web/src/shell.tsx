@@ -7,7 +7,7 @@ import { asProblem, type Problem } from "./api/problem";
 import { SignIn, askSession } from "./parts/sign_in";
 import { Link } from "./parts/link";
 import { Failed, Loading } from "./parts/notice";
-import { said } from "./parts/say";
+import { said, say } from "./parts/say";
 import { Health, watchHealth } from "./panels/services/health";
 import { query } from "./url/location";
 import { VIEWS } from "./views";
@@ -18,6 +18,7 @@ export function Shell() {
     void askSession();
     return watchHealth();
   }, []);
+  useEffect(() => say(view.title), [view]);
   useSignalEffect(() => {
     document.title = `${(VIEWS.find((each) => each.name === query.value.view) ?? VIEWS[0]!).title} · freerein`;
   });

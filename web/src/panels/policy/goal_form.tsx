@@ -38,6 +38,11 @@ export function GoalForm(props: GoalFormProps) {
   );
 }
 
+/** A goal is what is to be done first. */
+function emphasis(episode: Episode): string {
+  return episode.goal.value === null ? "main-action" : "";
+}
+
 type FormProps = GoalFormProps & {
   readonly isBusy: boolean;
   readonly give: (make: () => Promise<Goal>) => Promise<void>;
@@ -82,7 +87,7 @@ function ImagesForm({ spec, task, episode, isBusy, give }: FormProps) {
               onChange={(event) => setLandmarks(event.currentTarget.valueAsNumber || 1)}
             />
           </label>
-          <button type="button" disabled={isBusy} onClick={() => void give(byExpert)}>
+          <button type="button" class={emphasis(episode)} disabled={isBusy} onClick={() => void give(byExpert)}>
             {isBusy ? "The expert moves …" : "Give the expert's images"}
           </button>
         </>
@@ -106,7 +111,7 @@ async function landmarkOfFile(file: File): Promise<Landmark> {
   return { image: { encoding, height: 0, width: 0, data, camera: "" }, picture: await createImageBitmap(file) };
 }
 
-function RecipeForm({ spec, task, isBusy, give }: FormProps) {
+function RecipeForm({ spec, task, episode, isBusy, give }: FormProps) {
   const [skills, setSkills] = useState<readonly string[]>(spec.skills.slice(0, 2));
   const draw = async (): Promise<void> => {
     const { recipes } = await call("sim/draw-recipes", {
@@ -146,6 +151,7 @@ function RecipeForm({ spec, task, isBusy, give }: FormProps) {
       </div>
       <button
         type="button"
+        class={emphasis(episode)}
         disabled={isBusy || skills.length === 0}
         onClick={() => void give(async () => ({ form: "recipe", skills }))}
       >
@@ -155,7 +161,7 @@ function RecipeForm({ spec, task, isBusy, give }: FormProps) {
   );
 }
 
-function TextForm({ spec, isBusy, give }: FormProps) {
+function TextForm({ spec, episode, isBusy, give }: FormProps) {
   const [text, setText] = useState(spec.goal_texts[0] ?? "");
   return (
     <>
@@ -175,6 +181,7 @@ function TextForm({ spec, isBusy, give }: FormProps) {
       </datalist>
       <button
         type="button"
+        class={emphasis(episode)}
         disabled={isBusy || text.trim() === ""}
         onClick={() => void give(async () => ({ form: "text", text }))}
       >

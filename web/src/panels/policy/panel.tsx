@@ -119,7 +119,7 @@ function Live({ specs, worlds, spec, task, seed }: LiveProps) {
         <div class="buttons">
           <button
             type="button"
-            class="main-action"
+            class={goal ? "main-action" : ""}
             disabled={!canAct && status !== "acting"}
             onClick={() => (status === "acting" ? episode.pause() : void episode.run())}
           >

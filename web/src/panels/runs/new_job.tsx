@@ -88,7 +88,7 @@ function JobForm({ choice, names }: { choice: Choice; names: Names }) {
     setProblem(null);
     try {
       const whole = { ...constantsOf(choice.schema), ...config };
-      const idempotency_key = crypto.randomUUID();
+      const idempotency_key = newKey();
       if (isFit) {
         const service = choice.service as LearnedService;
         const request = { dataset: target.dataset, model_name: target.model, config: whole, idempotency_key };
@@ -151,6 +151,11 @@ function JobForm({ choice, names }: { choice: Choice; names: Names }) {
       </details>
     </form>
   );
+}
+
+/** Returns 32 random hexadecimal digits; `randomUUID` is missing beyond loopback without TLS. */
+function newKey(): string {
+  return [...crypto.getRandomValues(new Uint8Array(16))].map((each) => each.toString(16).padStart(2, "0")).join("");
 }
 
 function focusFirst(key: string): void {
