@@ -25,6 +25,7 @@ VIEWS = (
 )
 WIDTHS = (320, 768, 1280)
 FIRST_LOAD = 110_000
+SEGMENTATION = "/services/segmentation/v1"
 AXE = {  # what only depends on colours is looked for in both schemes, all else in one
     "light": "{ runOnly: ['wcag2a', 'wcag2aa', 'wcag21aa', 'wcag22aa'], resultTypes: ['violations'] }",
     "dark": "{ runOnly: ['color-contrast', 'link-in-text-block'], resultTypes: ['violations'] }",
@@ -205,7 +206,7 @@ def test_a_fit_that_is_watched_survives_the_orchestrator(
     fit = page.url.partition("job=segmentation%2F")[2]
 
     def recorded() -> int:
-        metrics = get(stack, "/services/segmentation/v1/get-fit-metrics", id=fit, max_rows=1)
+        metrics = get(stack, f"{SEGMENTATION}/get-fit-metrics", id=fit, max_rows=1)
         return int(metrics["total_rows"])
 
     wait_until(lambda: points(curve) == recorded(), 20)
@@ -273,11 +274,19 @@ def test_a_policy_executes_a_recipe(watched: Watched) -> None:
     page.get_by_text(re.compile("Holding")).first.wait_for()
 
 
-def test_models_have_cards_and_can_be_activated(watched: Watched) -> None:
+def test_models_have_cards_and_an_earlier_version_is_activated(
+    watched: Watched, stack: Stack, demos: str, wait_until: Callable[..., float]
+) -> None:
+    small = {"steps": 2, "batch_size": 2, "features": 8, "hidden_size": 16, "augmentation": 0}
+    fit = post(stack, f"{SEGMENTATION}/start-fit", {"dataset": demos, "model_name": "grid", "config": small})["fit"]
+    wait_until(lambda: get(stack, f"{SEGMENTATION}/get-fit", id=fit["id"])["fit"]["state"] == "succeeded", 60)
     page = watched.open("/?view=data&show=models")
-    page.get_by_role("region", name="grounding").get_by_text("Whole card").click()
-    page.get_by_role("region", name="Card").wait_for()
-    assert page.get_by_text("comes with freerein").count() >= 8
+    shipped = page.get_by_role("region", name=re.compile("^grid")).filter(has_text="comes with freerein")
+    shipped.get_by_text("Whole card").click()
+    shipped.get_by_role("region", name="Card").get_by_text("frame_accuracy").wait_for()
+    shipped.get_by_role("button", name="Activate grid").click()
+    shipped.get_by_text("active", exact=True).wait_for()
+    assert page.get_by_role("button", name="Activate grid").count() == 1
 
 
 def test_a_service_that_is_away_is_named_and_comes_back(interrupted: Watched, stack: Stack) -> None:

@@ -107,7 +107,7 @@ function ModelCard({ service, model, jobs, onActivated }: ModelCardProps) {
         </p>
       )}
       {!model.active && (
-        <button type="button" onClick={() => void activate()}>
+        <button type="button" aria-label={`Activate ${name} ${version}`} onClick={() => void activate()}>
           Activate
         </button>
       )}
