@@ -5,7 +5,7 @@ BIN := .venv/bin
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup dev demo check test test-long bench tables robustness fuzz soak mutants compat stubs stubs-fresh fmt
+.PHONY: help setup dev demo check test test-long bench tables robustness fuzz soak mutants compat stubs stubs-fresh fmt page
 
 help: ## List what can be made
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1|\2/p' $(MAKEFILE_LIST) | while IFS='|' read -r name text; do \
@@ -27,6 +27,7 @@ check: dev stubs-fresh ## Lint, format, types, import contracts, proto, its stub
 	$(BIN)/lint-imports
 	$(BIN)/buf lint proto
 	$(BIN)/buf breaking proto --against proto/released.binpb
+	tools/page check
 
 # Half of a worker's time is waiting: for other processes, deadlines, leases.
 WORKERS = $(shell expr $$(nproc) \* 2)
@@ -64,6 +65,9 @@ compat: dev ## Open our datasets in LeRobot, and LeRobot's in ours; call a servi
 
 stubs: dev ## Regenerate the Python stubs of proto/
 	tools/stubs
+
+page: ## Build the web page into the orchestrator's package
+	tools/page build
 
 stubs-fresh: dev
 	@fresh=$$(mktemp -d) && trap 'rm -rf "$$fresh"' EXIT && tools/stubs "$$fresh" && \

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from freerein.errors import InvalidInput
 
 _MAX_PORT = 65535
-_HOST = re.compile(r"[^\s/:\[\]]+|\[[0-9a-fA-F:.%\w]+\]")
+_HOST = re.compile(r"[^\s/:@?#\[\]]+|\[[0-9a-fA-F:.%\w]+\]")
+_URL = re.compile(rf"https?://({_HOST.pattern}):(?P<port>[0-9]{{1,5}})")
 
 
 @dataclass(frozen=True)
@@ -82,3 +83,24 @@ def addresses(service: str, environ: Mapping[str, str]) -> tuple[str, ...]:
                 "without http://, or unset it.",
             )
     return tuple(found) or (f"127.0.0.1:{default_ports(service, environ).grpc}",)
+
+
+def rest_url(service: str, environ: Mapping[str, str]) -> str:
+    """Returns the URL of a service's REST API, such as `http://127.0.0.1:8104`.
+
+    It is the value of `FREEREIN_<SERVICE>_URL`, by default the host of the service's first gRPC address, and the
+    default port; `https` where `FREEREIN_TLS_CERT` is set. Raises InvalidInput as `addresses`, and where the variable
+    does not hold such a URL.
+    """
+    host, variable = address(service, environ).rpartition(":")[0], f"FREEREIN_{service.upper()}_URL"
+    scheme = "https" if environ.get("FREEREIN_TLS_CERT") else "http"
+    default = f"{scheme}://{host}:{default_ports(service, environ).rest}"
+    url = environ.get(variable, "").strip().removesuffix("/") or default
+    parts = _URL.fullmatch(url)
+    if parts is None or not 0 < int(parts["port"]) <= _MAX_PORT:
+        raise InvalidInput(
+            f"{variable} must hold http:// or https://, a host and a port, and no path; got something else.",
+            field=variable,
+            hint=f"Set it to something like http://127.0.0.1:{PORTS[service].rest}, or unset it.",
+        )
+    return url

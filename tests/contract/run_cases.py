@@ -1,4 +1,4 @@
-"""The orchestrator in the contract: the real core, with one run that was cancelled and left a file behind."""
+"""The orchestrator in the contract: the real cores, with one run that was cancelled and left a file behind."""
 
 import math
 import time
@@ -17,6 +17,7 @@ from freerein.serving.methods import methods_of
 from freerein.types import orchestrator
 from freerein.types.orchestrator import CancelRunRequest, StartRunRequest
 from freerein_orchestrator.__main__ import resolve
+from freerein_orchestrator.datasets import DatasetService
 from freerein_orchestrator.runs.dbos_queue import DbosQueue
 from freerein_orchestrator.runs.service import RunService
 
@@ -40,7 +41,8 @@ def build(data_dir: Path, health: Health) -> Service:
             writer.append(step, {"loss": 1 / step, "broken": math.nan})
 
     contract = orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"]
-    return Service("orchestrator", methods_of(contract, runs), start, runs.close, runs.not_ready)
+    methods = methods_of(contract, runs, DatasetService(data_dir))
+    return Service("orchestrator", methods, start, runs.close, runs.not_ready)
 
 
 def wait(_run_id: str, stop: Callable[[], StopRequest], _pause: Pause) -> AttemptResult:

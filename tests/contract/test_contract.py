@@ -235,6 +235,7 @@ SEGMENTATION_CASES = (
 # --- imitation, reward and the orchestrator
 
 imitation_cases, reward_cases, run_cases = beside("imitation_cases"), beside("reward_cases"), beside("run_cases")
+dataset_cases = beside("dataset_cases")
 
 
 def build_imitation(data_dir: Path, health: Health) -> Service:
@@ -245,10 +246,16 @@ def build_reward(data_dir: Path, health: Health) -> Service:
     return reward_cases.build(data_dir, health, publish_model)
 
 
+def build_orchestrator(data_dir: Path, health: Health) -> Service:
+    dataset_cases.record(data_dir)
+    service: Service = run_cases.build(data_dir, health)
+    return service
+
+
 SERVICES = {
     "imitation": Row(build_imitation, tuple(Case(*case) for case in imitation_cases.cases(VERSION))),
     "learning": Row(build_learning, LEARNING_CASES),
-    "orchestrator": Row(run_cases.build, tuple(Case(*case) for case in run_cases.CASES)),
+    "orchestrator": Row(build_orchestrator, tuple(Case(*case) for case in run_cases.CASES + dataset_cases.CASES)),
     "reward": Row(build_reward, tuple(Case(*case) for case in reward_cases.cases(VERSION))),
     "segmentation": Row(build_segmentation, SEGMENTATION_CASES),
 }

@@ -15,6 +15,7 @@ from typing import Any
 import psutil
 import pytest
 
+from freerein.cli.commands.up import page_line
 from freerein.errors import DeadlineExceeded, FailedPrecondition
 from freerein.ports import Ports
 from freerein.stack import RestartPolicy, ServiceStatus, Stack
@@ -35,7 +36,7 @@ with socket.create_server(("127.0.0.1", int(os.environ["FREEREIN_HTTP_PORT"]))) 
             connection.sendall(b"HTTP/1.1 200 OK\\r\\ncontent-length: 0\\r\\nconnection: close\\r\\n\\r\\n")
 """
 _MISCONFIGURED = 'import sys; sys.exit(sys.stderr.write("cannot start: FREEREIN_QUEUE: too small\\n") and 3)'
-_TOLD = 'import os, sys; print(os.environ["FREEREIN_SIM_ADDRESS"]); sys.exit(3)'
+_TOLD = 'import os, sys; print(*map(os.environ.get, ("FREEREIN_SIM_ADDRESS", "FREEREIN_SIM_URL"))); sys.exit(3)'
 _CRASHING = "raise SystemExit(1)"
 _MUTE = "import time; time.sleep(600)"
 _HASTY = RestartPolicy(first_delay_s=0.01, longest_delay_s=0.02, crashes=3, window_s=600)
@@ -122,14 +123,15 @@ async def test_a_configuration_error_is_shown_and_never_tried_again(tiny: Callab
 
 
 @pytest.mark.parametrize("replicas", ["", "here:9104,there:9104"])
-async def test_an_address_that_the_environment_sets_is_what_services_are_told(
+async def test_an_address_that_the_environment_sets_is_what_services_are_told_and_else_address_and_url(
     tiny: Callable[[str], Stack], environ: dict[str, str], tmp_path: Path, replicas: str
 ) -> None:
     environ["FREEREIN_SIM_ADDRESS"] = replicas
     async with tiny(_TOLD) as stack:
         await _until(stack, lambda status: status.has_failed)
 
-    assert _log(tmp_path) == [replicas or stack.addresses["sim"]]
+    own = f"{stack.addresses['sim']} {stack.urls['sim']}"
+    assert _log(tmp_path) == [f"{replicas} None" if replicas else own]
 
 
 @pytest.mark.parametrize("window_s", [600.0, 0.0])  # however long its starts take
@@ -199,3 +201,18 @@ def test_free_ports_are_free_and_different() -> None:
 
     hold(ports).close()
     assert len({port for pair in ports.values() for port in (pair.rest, pair.grpc)}) == 4
+
+
+@pytest.mark.parametrize(
+    ("states", "says"),
+    [
+        ({"orchestrator": "ready", "sim": "starting"}, ""),
+        ({"orchestrator": "starting", "sim": "ready"}, ""),
+        ({"sim": "ready"}, ""),
+        ({"orchestrator": "given up", "sim": "ready"}, ""),
+        ({"orchestrator": "ready", "sim": "ready"}, "See and steer everything in a browser: http://orchestrator/"),
+        ({"orchestrator": "ready", "sim": "given up"}, "See and steer everything in a browser: http://orchestrator/"),
+    ],
+)
+def test_where_the_page_is_is_said_last_when_all_have_started(states: dict[str, Any], says: str) -> None:
+    assert page_line(tuple(ServiceStatus(name, each, f"http://{name}", "") for name, each in states.items())) == says

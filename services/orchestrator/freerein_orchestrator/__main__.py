@@ -14,25 +14,30 @@ from freerein.jobs.names import LINKS
 from freerein.jobs.store import JobStore
 from freerein.learning.model_files import choose_device
 from freerein.learning.optimiser import IMPORTED_BY_OPTIMISERS
-from freerein.ports import PORTS, addresses
+from freerein.ports import PORTS, addresses, rest_url
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
+from freerein.serving.rest.web_page import WebPage
+from freerein_orchestrator.datasets import DatasetService
 from freerein_orchestrator.kinds import find_kind
 from freerein_orchestrator.kinds.config_schemas import run_config_schema
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.runs.dbos_queue import DbosQueue
 from freerein_orchestrator.runs.service import Resolved, RunService
 from freerein_orchestrator.settings import OrchestratorSettings
+from freerein_orchestrator.web.calls import CALLS
+from freerein_orchestrator.web.page import ASSETS, page_routes
+from freerein_orchestrator.web.passing_on import PassedOn, make_client
 
 NAME = "orchestrator"
 
 
 def build(
     settings: OrchestratorSettings,
-    _limits: Limits,
+    limits: Limits,
     _metrics: Metrics,
     health: Health,
     *,
@@ -42,7 +47,7 @@ def build(
 
     Raises:
         FailedPrecondition: This machine lacks the device of the settings, or the data directory cannot be made.
-        InvalidInput: An address of a service is malformed.
+        InvalidInput: An address or URL of a service is malformed.
     """
     choose_device(settings.device)
     settings.make_data_dir()
@@ -66,14 +71,24 @@ def build(
     )
     resolve_here = partial(resolve, data_dir=settings.data_dir)
     runs = RunService(store, queue, resolve=resolve_here, health=health, check_unused=partial(_check_unused, settings))
+    datasets = DatasetService(settings.data_dir)
+    client = make_client(limits, token=settings.token_text, certificate=os.environ.get("FREEREIN_TLS_CERT"))
+    passed_on = [PassedOn(service, rest_url(service, os.environ), client) for service in CALLS]
+
+    async def close() -> None:
+        await runs.close()
+        datasets.close()
+        await client.aclose()
+
     return Service(
         name=NAME,
-        methods=methods_of(orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"], runs),
+        methods=methods_of(orchestrator_pb2.DESCRIPTOR.services_by_name["OrchestratorService"], runs, datasets),
         start=runs.start,
-        close=runs.close,
+        close=close,
         not_ready=runs.not_ready,
         jobs={"run": folder},
         configs=lambda: {"StartRunRequest": run_config_schema()},
+        page=WebPage([*page_routes(), *(route for each in passed_on for route in each.routes)], assets=ASSETS),
     )
 
 

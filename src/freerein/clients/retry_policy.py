@@ -20,6 +20,11 @@ IDEMPOTENT = {
         "CancelRun",
         "ListArtifacts",
         "GetArtifact",
+        "ListDatasets",
+        "ListDatasetProblems",
+        "GetTrajectory",
+        "GetFrames",
+        "SaveLabels",
     ),
     "freerein.api.segmentation.v1.SegmentationService": ("Segment", "ListSkills"),
     "freerein.api.sim.v1.SimService": (

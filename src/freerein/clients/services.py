@@ -70,6 +70,11 @@ class OrchestratorClient(Client):
     delete_run = UnaryRpc(orchestrator.DeleteRunRequest, orchestrator.DeleteRunResponse)
     list_artifacts = UnaryRpc(orchestrator.ListArtifactsRequest, orchestrator.ListArtifactsResponse)
     get_artifact = ServerStreamRpc(orchestrator.GetArtifactRequest, orchestrator.GetArtifactResponse)
+    list_datasets = UnaryRpc(orchestrator.ListDatasetsRequest, orchestrator.ListDatasetsResponse)
+    list_dataset_problems = UnaryRpc(orchestrator.ListDatasetProblemsRequest, orchestrator.ListDatasetProblemsResponse)
+    get_trajectory = UnaryRpc(orchestrator.GetTrajectoryRequest, orchestrator.GetTrajectoryResponse)
+    get_frames = UnaryRpc(orchestrator.GetFramesRequest, orchestrator.GetFramesResponse)
+    save_labels = UnaryRpc(orchestrator.SaveLabelsRequest, orchestrator.SaveLabelsResponse)
 
 
 class FitClient(Client):

@@ -4,6 +4,7 @@
     <root>/meta/           LeRobot's index, rebuilt from data/ where the two differ
     <root>/cache/          decoded frames and actions, rebuilt when data/ changes
     <root>/labels/         per-timestep skills predicted by a segmentation model; see `freerein.data.labels`
+    <root>/hand_labels/    labels that a person gave, for people; see `freerein.data.hand_labels`
     <root>/reached/        which frames show the goal, as a reward model judges; see `freerein.data.reached`
     <root>/tags.json       tags that were given after recording, instead of those in data/
     <root>/teachers.json   cards of the policies that acted, for distillation

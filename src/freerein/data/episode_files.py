@@ -1,6 +1,7 @@
 """The data files of a dataset, and the rows of an episode in whichever of them it lies."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pyarrow as pa
 
 from freerein.data import layout
 from freerein.data.trajectory_file import episode_ranges, read_rows
+from freerein.data.trajectory_part import read_part
 from freerein.errors import InvalidInput
 
 
@@ -38,6 +40,17 @@ class EpisodeFiles:
                 if named.is_file() and not self._ranges.get(named):  # it is damaged
                     raise error from None
                 raise
+
+    def part(self, episode: int, column: str, *, timesteps: range, length: int) -> pa.Table:
+        """Returns a column of some timesteps of an episode, read no further where the file is as it should be.
+
+        Raises InvalidInput as `rows`.
+        """
+        with suppress(InvalidInput):  # as `rows` will say
+            found = read_part(self._named[episode], column, index=episode, timesteps=timesteps)
+            if found is not None:
+                return found
+        return self.rows(episode, [column], length=length).slice(timesteps.start, len(timesteps))
 
     def name(self, episode: int) -> str:
         """Returns the name of the file that should hold an episode, for errors."""

@@ -3,7 +3,6 @@
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,20 +11,8 @@ import numpy.typing as npt
 
 from freerein.data import labels
 from freerein.data.reader import Dataset
+from freerein.types.orchestrator import LabelSegment
 from freerein.types.segmentation import NO_SKILL
-
-
-@dataclass(frozen=True)
-class LabelSegment:
-    """Timesteps [start, end) of a trajectory that have one label.
-
-    Attributes:
-        skill: Name of the skill; empty where there is none.
-    """
-
-    start: int
-    end: int
-    skill: str
 
 
 def read_label_segments(root: Path, dataset: Dataset) -> list[list[LabelSegment]]:
@@ -36,7 +23,17 @@ def read_label_segments(root: Path, dataset: Dataset) -> list[list[LabelSegment]
         InvalidInput: Labels are corrupt or out of range.
     """
     skills = labels.info(root).skills
-    return [_segments(values, skills) for values in labels.all_labels(root, dataset.lengths)]
+    return [to_segments(values, skills) for values in labels.all_labels(root, dataset.lengths)]
+
+
+def to_segments(values: npt.NDArray[np.int64], skills: Sequence[str]) -> list[LabelSegment]:
+    """Returns labels, int64 (T,), as segments without gaps; the skill of `NO_SKILL` is empty."""
+    bounds = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    return [
+        LabelSegment(start, end, "" if values[start] == NO_SKILL else skills[values[start]])
+        for start, end in pairwise(bounds)
+        if end > start
+    ]
 
 
 def to_csv(segments: Sequence[Sequence[LabelSegment]]) -> str:
@@ -48,12 +45,3 @@ def to_csv(segments: Sequence[Sequence[LabelSegment]]) -> str:
     rows = ((n, each.start, each.end, each.skill) for n, some in enumerate(segments) for each in some if each.skill)
     csv.writer(text, lineterminator="\n").writerows([("trajectory", "start", "end", "skill"), *rows])
     return text.getvalue()
-
-
-def _segments(values: npt.NDArray[np.int64], skills: Sequence[str]) -> list[LabelSegment]:
-    bounds = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
-    return [
-        LabelSegment(start, end, "" if values[start] == NO_SKILL else skills[values[start]])
-        for start, end in pairwise(bounds)
-        if end > start
-    ]

@@ -125,6 +125,26 @@ def labels(root: Path, index: int) -> npt.NDArray[np.int64]:
     return read_labels(path, index=index)
 
 
+def checked_labels(root: Path, index: int, *, timesteps: int, skills: Sequence[str]) -> npt.NDArray[np.int64]:
+    """Returns the labels of a trajectory of so many timesteps, int64 (T,), as `labels` does.
+
+    Raises:
+        FailedPrecondition: The trajectory was not labelled, or has another length.
+        InvalidInput: Labels are corrupt, or no indices into the skills.
+    """
+    values = labels(root, index)
+    if len(values) != timesteps:
+        raise FailedPrecondition(
+            f"Trajectory {index} must have a skill for each of its {timesteps} timesteps; it has {len(values)}.",
+            hint=_HINT,
+        )
+    if not np.all((values >= NO_SKILL) & (values < len(skills))):
+        raise InvalidInput(
+            f"The labels of trajectory {index} must be in [0, {len(skills)}), or {NO_SKILL} for none.", hint=_HINT
+        )
+    return values
+
+
 def all_labels(root: Path, lengths: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], ...]:
     """Returns the labels of every trajectory, int64 (T,) each, as `labels` does; of these `Dataset.lengths`.
 
@@ -133,18 +153,8 @@ def all_labels(root: Path, lengths: npt.NDArray[np.int64]) -> tuple[npt.NDArray[
         InvalidInput: Labels are corrupt or out of range.
     """
     skills = info(root).skills
-    found = tuple(labels(root, index) for index in range(len(lengths)))
-    for index, (values, length) in enumerate(zip(found, lengths, strict=True)):
-        if len(values) != length:
-            raise FailedPrecondition(
-                f"Trajectory {index} must have a skill for each of its {length} timesteps; it has {len(values)}.",
-                hint=_HINT,
-            )
-        if not np.all((values >= NO_SKILL) & (values < len(skills))):
-            raise InvalidInput(
-                f"The labels of trajectory {index} must be in [0, {len(skills)}), or {NO_SKILL} for none.", hint=_HINT
-            )
-    return found
+    pairs = enumerate(lengths.tolist())
+    return tuple(checked_labels(root, index, timesteps=timesteps, skills=skills) for index, timesteps in pairs)
 
 
 def fingerprint(values: Sequence[npt.NDArray[np.int64]]) -> str:

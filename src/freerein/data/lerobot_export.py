@@ -21,13 +21,14 @@ import pyarrow.parquet as pq
 
 from freerein.data import language_rows, layout, lerobot, lerobot_features, lerobot_tables, meta, sarm_stages
 from freerein.data.folder_locks import unused
-from freerein.data.label_segments import LabelSegment, read_label_segments
+from freerein.data.label_segments import read_label_segments
 from freerein.data.language_rows import Subtasks
 from freerein.data.reader import Dataset
 from freerein.data.staged_files import staged_files
 from freerein.data.trajectory_file import corrupt_as_invalid
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
 from freerein.regular_files import open_regular
+from freerein.types.orchestrator import LabelSegment
 
 _HINT = "Name the folder that the dataset was imported from, as it was then."
 _ROUNDING_S = 1e-3

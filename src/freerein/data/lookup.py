@@ -6,6 +6,7 @@ from pathlib import Path
 from freerein.data.layout import dataset_path
 from freerein.data.reader import Dataset
 from freerein.errors import InvalidInput, NotFound, must_be
+from freerein.types.common import is_name
 
 
 def open_dataset(data_dir: Path, name: str) -> Dataset:
@@ -18,6 +19,12 @@ def open_dataset(data_dir: Path, name: str) -> Dataset:
             hint="Record one: freerein sim demonstrate TASK --out NAME.",
         )
     return Dataset(path)
+
+
+def dataset_names(data_dir: Path) -> list[str]:
+    """Returns the names of the datasets of the data directory, sorted."""
+    found = (path.parent.name for path in (data_dir / "datasets").glob("*/meta"))
+    return sorted(name for name in found if is_name(name))
 
 
 def choose_cameras(dataset: Dataset, asked: Sequence[str]) -> tuple[str, ...]:

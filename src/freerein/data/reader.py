@@ -34,6 +34,8 @@ from freerein.errors import InvalidInput, UnsupportedMedia, must_be, quoted
 from freerein.regular_files import open_regular
 from freerein.types.common import Trajectory
 
+_WHOLE = slice(None)
+
 
 class Dataset:
     """Read-only sequence of the trajectories that a dataset held when it was opened.
@@ -143,7 +145,16 @@ class Dataset:
 
     def first_frames(self, items: Sequence[int], camera: str) -> Iterator[npt.NDArray[np.uint8]]:
         """Yields the first frame of some trajectories, uint8 (H, W, C); raises as `stream`."""
-        return (frames[0] for frames in self._frames(items, camera, most=1))
+        return (frames[0] for frames in self._frames(items, camera, part=slice(1)))
+
+    def frames(
+        self, index: int, camera: str, part: slice, *, size: tuple[int, int] | None = None
+    ) -> npt.NDArray[np.uint8]:
+        """Returns some frames of one trajectory, uint8 (n, H, W, C), without decoding others; raises as `stream`.
+
+        Of a video, those before them are decoded, too. `size` is the height and width to scale them to.
+        """
+        return next(self._frames([range(len(self))[index]], camera, size=size, part=part))
 
     @property
     def fingerprint(self) -> str:
@@ -202,33 +213,36 @@ class Dataset:
         return self._files.rows(self.episodes[index], columns, length=int(self.lengths[index]))
 
     def _frames(
-        self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None = None, most: int | None = None
+        self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None = None, part: slice = _WHOLE
     ) -> Iterator[npt.NDArray[np.uint8]]:
-        """Yields the frames of one camera, uint8 (T, H, W, C), at most the first `most` of each trajectory."""
+        """Yields the frames of one camera, uint8 (T, H, W, C), or a part of them, of each trajectory."""
         read = self._video_frames if camera in self._meta.videos else self._image_frames
-        frames = read(items, camera, size=size, most=most)
+        frames = read(items, camera, size=size, part=part)
         for index in items:
             with self._named(index, camera):
                 found = next(frames)
             yield found
 
     def _video_frames(
-        self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None, most: int | None
+        self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None, part: slice
     ) -> Iterator[npt.NDArray[np.uint8]]:
         height, width, channels = self.spec.cameras[camera]
         spans = [self._meta.videos[camera][index] for index in items]
-        cut = [replace(span, length=min(span.length, most or span.length)) for span in spans]
+        cut = [span.part(range(span.length)[part], self.spec.fps) for span in spans]
         scaled = (*(size or (height, width)), channels)
         return video_frames(cut, fps=self.spec.fps, size=scaled, declared=(height, width))
 
     def _image_frames(
-        self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None, most: int | None
+        self, items: Sequence[int], camera: str, *, size: tuple[int, int] | None, part: slice
     ) -> Iterator[npt.NDArray[np.uint8]]:
         key = self._meta.camera_keys[camera]
         for index in items:
-            frames = decode_frames(
-                self._rows(index, [key]).slice(0, most), camera_key=key, size=self.spec.cameras[camera]
-            )
+            length = int(self.lengths[index])
+            if part == _WHOLE:
+                rows = self._rows(index, [key])
+            else:
+                rows = self._files.part(self.episodes[index], key, timesteps=range(length)[part], length=length)
+            frames = decode_frames(rows, camera_key=key, size=self.spec.cameras[camera])
             yield images.resize(frames, size) if size else frames
 
     @contextmanager

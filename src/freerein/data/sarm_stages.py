@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pyarrow as pa
 
-from freerein.data.label_segments import LabelSegment
 from freerein.data.lerobot_tables import with_column
+from freerein.types.orchestrator import LabelSegment
 
 GRANULARITIES = ("sparse", "dense")
 _TEXTS, _TIMES, _FRAMES = pa.list_(pa.string()), pa.list_(pa.float64()), pa.list_(pa.int64())

@@ -36,7 +36,10 @@ State: TypeAlias = npt.NDArray[np.float32]
 """The robot's own state, float32 (T, S), in units of its own."""
 
 _FOOTER_KEY = b"freerein"
-_EPISODE, _ORDER = "episode_index", "frame_index"
+EPISODE, ORDER = "episode_index", "frame_index"
+"""Columns of the numbers of episode and timestep."""
+
+_GROUP_ROWS = 256  # so that a few frames of a long trajectory can be read
 MOST_ROWS = 10_000_000
 """Of a table that is read at once: repeated rows take no room in a file."""
 
@@ -88,6 +91,7 @@ def encode(
         use_dictionary=False,
         write_statistics=list(indices),
         write_page_checksum=True,
+        row_group_size=_GROUP_ROWS,
     )
     return sink.getvalue()
 
@@ -120,28 +124,28 @@ def read_rows(paths: Sequence[Path], *, index: int, columns: Sequence[str]) -> p
     parts = [_rows_of(path, index, columns) for path in paths]
     with corrupt_as_invalid("The data file"):
         rows = pa.concat_tables(parts, promote_options="permissive") if len(parts) > 1 else parts[0]
-        return _in_order(rows).select(list(dict.fromkeys([*columns, _EPISODE]))).combine_chunks()
+        return _in_order(rows).select(list(dict.fromkeys([*columns, EPISODE]))).combine_chunks()
 
 
 def _rows_of(path: Path, index: int, columns: Sequence[str]) -> pa.Table:
     """Returns the columns of an episode, and its `frame_index` where there is one, in the order of the file."""
     with corrupt_as_invalid("The data file"), open_regular(path, name=path.name) as file:
         parquet = pq.ParquetFile(file, page_checksum_verification=True)
-        ranges = {group: _episode_range(parquet, group) for group in range(parquet.num_row_groups)}
+        ranges = {group: episode_range(parquet, group) for group in range(parquet.num_row_groups)}
         groups = [group for group, (least, greatest) in ranges.items() if least <= index <= greatest]
         if sum(parquet.metadata.row_group(group).num_rows for group in groups) > MOST_ROWS:
             raise ValueError("too many rows")
-        order = [_ORDER] if _ORDER in parquet.schema_arrow.names else []
-        names = list(dict.fromkeys([*columns, *order, _EPISODE]))
+        order = [ORDER] if ORDER in parquet.schema_arrow.names else []
+        names = list(dict.fromkeys([*columns, *order, EPISODE]))
         table = parquet.read_row_groups(groups, columns=names, use_threads=False).select(names)
-        return table.filter(pc.equal(table[_EPISODE], index))
+        return table.filter(pc.equal(table[EPISODE], index))
 
 
 def _in_order(rows: pa.Table) -> pa.Table:
     """Returns rows in the order of their `frame_index`, which must count from 0; as they are where there is none."""
-    if _ORDER not in rows.column_names:
+    if ORDER not in rows.column_names:
         return rows
-    numbers = _flat(rows[_ORDER]).to_numpy(zero_copy_only=False)
+    numbers = _flat(rows[ORDER]).to_numpy(zero_copy_only=False)
     expected = np.arange(len(rows))
     if np.array_equal(numbers, expected):
         return rows
@@ -151,7 +155,7 @@ def _in_order(rows: pa.Table) -> pa.Table:
         first = wrong[0]
         is_twice = first > 0 and numbers[order][first] == first - 1
         raise InvalidInput(
-            f"Timesteps must have a `{_ORDER}` from 0 on, each once; "
+            f"Timesteps must have a `{ORDER}` from 0 on, each once; "
             f"{f'{first - 1} is there twice' if is_twice else f'{first} is missing'}.",
             hint="Record the trajectory again, or leave it out.",
         )
@@ -266,14 +270,14 @@ def episode_ranges(path: Path) -> list[tuple[float, float]]:
     try:
         with open_regular(path, name=path.name) as file:
             parquet = pq.ParquetFile(file)
-            return [_episode_range(parquet, group) for group in range(parquet.num_row_groups)]
+            return [episode_range(parquet, group) for group in range(parquet.num_row_groups)]
     except (pa.ArrowException, OSError, ValueError, InvalidInput):
         return []
 
 
-def _episode_range(parquet: pq.ParquetFile, group: int) -> tuple[float, float]:
+def episode_range(parquet: pq.ParquetFile, group: int) -> tuple[float, float]:
     """Returns the least and greatest episode of a row group, by its statistics where it has them."""
-    position = parquet.schema.names.index(_EPISODE)
+    position = parquet.schema.names.index(EPISODE)
     bounds = parquet.metadata.row_group(group).column(position).statistics
     is_known = bounds is not None and bounds.has_min_max and isinstance(bounds.min, int)
     return (bounds.min, bounds.max) if is_known else (-math.inf, math.inf)

@@ -2,8 +2,9 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,10 @@ class VideoSpan:
     file: str
     start_s: float
     length: int
+
+    def part(self, frames: range, fps: int) -> Self:
+        """Returns where some frames of it lie, at so many per second."""
+        return replace(self, start_s=self.start_s + frames.start / fps, length=len(frames))
 
 
 def video_frames(

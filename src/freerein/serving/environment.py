@@ -34,7 +34,7 @@ KNOWN = (
     *["IDLE_S", "KEEP_ALIVE_S", "PING_S", "DRAIN_DELAY_S", "UNARY_S", "QUEUE", "CORS_ORIGINS"],
     *["DEVICE", "TRAIN_THREADS", "SHIPPED_DIR", "GOAL_CACHE_BYTES", "SIM_WORKERS", "SIM_SESSIONS", "SIM_ENVS"],
     *["DATABASE_URL", "EXECUTOR_ID"],
-    *(f"{name.upper()}_ADDRESS" for name in PORTS),
+    *(f"{name.upper()}_{kind}" for name in PORTS for kind in ("ADDRESS", "URL")),
     *["MEMORY", "ROBOTS"],  # of compose
     *["FUZZ", "SOAK_MINUTES", "TESTS_FORK_SERVER"],  # of tests
 )

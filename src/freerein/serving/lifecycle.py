@@ -34,6 +34,7 @@ from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest.app import make_app
 from freerein.serving.rest.http_server import HttpServer, make_server
+from freerein.serving.rest.web_page import WebPage
 from freerein.serving.rest.websocket import OpenSession
 from freerein.serving.settings import ServiceSettings
 
@@ -58,6 +59,7 @@ class Service:
         open_websocket: Opens a connection of its WebSocket; None for a service without one.
         jobs: Folders of its jobs by kind, `fit` or `run`.
         configs: Returns JSON schemas of the field `config`, by message of a request.
+        page: What it has for browsers; None for a service without a page.
     """
 
     name: str
@@ -69,6 +71,7 @@ class Service:
     open_websocket: OpenSession | None = None
     jobs: Mapping[str, Path] = field(default_factory=dict)
     configs: Callable[[], Mapping[str, Any]] = dict
+    page: WebPage | None = None
 
 
 class _DecodeThreads(ThreadPoolExecutor):
@@ -128,6 +131,7 @@ async def _serve(settings: S, build: Build[S]) -> int:
         is_local=settings.is_local,
         open_websocket=service.open_websocket,
         configs=service.configs,
+        page=service.page,
     )
     grpc_server = GrpcServer(service.methods, health=health, metrics=metrics, limits=limits, memory=memory, token=token)
     ports = _chosen_ports(service.name, settings)

@@ -32,6 +32,7 @@ def configure(service: str) -> None:
     logging.captureWarnings(True)
     for name in ("uvicorn", "python_multipart"):  # whose warnings are of what clients send
         logging.getLogger(name).setLevel(logging.ERROR)
+    logging.getLogger("httpx").setLevel(logging.WARNING)  # a line for each call that is passed on
     logging.getLogger("grpc._cython.cygrpc").addFilter(_is_not_the_callers)
     sys.excepthook = _log_crash
     threading.excepthook = lambda crash: _log_crash(crash.exc_type, crash.exc_value, crash.exc_traceback)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
-from freerein.ports import PORTS, Ports, address, default_ports
+from freerein.ports import PORTS, Ports, address, default_ports, rest_url
 from freerein.serving.environment import is_container_link, unbracketed
 
 GROUP = "freerein.services"
@@ -25,17 +25,15 @@ class Endpoints:
 
 
 def running_endpoints(names: Iterable[str], environ: Mapping[str, str]) -> Endpoints:
-    """Returns where services run: the gRPC addresses of the environment, and on the same hosts the usual REST ports."""
+    """Returns where services run, as the environment says."""
     addresses = {name: address(name, environ) for name in names}
-    ports = {name: default_ports(name, environ).rest for name in addresses}
-    scheme = "https" if environ.get("FREEREIN_TLS_CERT") else "http"
-    urls = {name: f"{scheme}://{found.rpartition(':')[0]}:{ports[name]}" for name, found in addresses.items()}
-    return Endpoints(urls, addresses)
+    return Endpoints({name: rest_url(name, environ) for name in addresses}, addresses)
 
 
 def isolated_environ(environ: Mapping[str, str]) -> dict[str, str]:
     """Returns an environment without what would connect services to other people's."""
-    shared = {"FREEREIN_DATABASE_URL", "FREEREIN_EXECUTOR_ID", *(f"FREEREIN_{name.upper()}_ADDRESS" for name in PORTS)}
+    places = {f"FREEREIN_{name.upper()}_{kind}" for name in PORTS for kind in ("ADDRESS", "URL")}
+    shared = {"FREEREIN_DATABASE_URL", "FREEREIN_EXECUTOR_ID", *places}
     return {name: value for name, value in environ.items() if name not in shared}
 
 

@@ -62,8 +62,9 @@ class Stack:
         self._tasks: list[asyncio.Task[None]] = []
         shared = {**environ, "FREEREIN_DATA_DIR": str(data_dir)}
         for name, target in self.addresses.items():
-            variable = f"FREEREIN_{name.upper()}_ADDRESS"
-            shared[variable] = environ.get(variable) or target
+            variable, url = (f"FREEREIN_{name.upper()}_{kind}" for kind in ("ADDRESS", "URL"))
+            if not environ.get(variable):
+                shared.update({variable: target, url: environ.get(url) or self.urls[name]})
         self._processes = [
             ServiceProcess(
                 ServiceCommand(module, _environ(shared, self._ports[name]), data_dir / "logs" / f"{name}.log"),

@@ -21,9 +21,14 @@ _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 _ID = re.compile(r"[0-9a-f]{32}")
 
 
+def is_name(name: str) -> bool:
+    """Returns whether a text may be the name of a dataset, model, task, camera or key."""
+    return _NAME.fullmatch(name) is not None
+
+
 def check_name(name: str, *, field: str) -> str:
     """Returns a valid name of a dataset, model, task, camera or key; raises InvalidInput for any other."""
-    if _NAME.fullmatch(name) is None:
+    if not is_name(name):
         rule = "1 to 64 of a-z, 0-9, dot, underscore and dash, beginning with a letter or digit"
         hint = "Choose a name like blocks-demos.v2."
         raise must_be(field, rule, f"{len(name)} characters that do not match", hint=hint)

@@ -39,7 +39,10 @@ app = typer.Typer(add_completion=False)
 def up(
     services: _Services = None, free_ports: _FreePorts = False, port_base: _PortBase = None, as_json: AsJson = False
 ) -> None:
-    """Run the services until Ctrl-C; restart them when they crash."""
+    """Run the services until Ctrl-C; restart them when they crash.
+
+    The last line is the address of the web page, once they have started.
+    """
     try:
         stack = _stack(services or (), free_ports=free_ports, port_base=port_base)
         with _display(as_json=as_json) as show:
@@ -96,11 +99,13 @@ def _display(*, as_json: bool) -> Iterator[_Show]:
     shown: dict[str, str] = {}
 
     def show_changes(statuses: tuple["ServiceStatus", ...]) -> None:
-        for status in statuses:
-            line = json.dumps(asdict(status)) if as_json else _line(status)
-            if shown.get(status.service) != line:
-                shown[status.service] = line
+        lines = {each.service: json.dumps(asdict(each)) if as_json else _line(each) for each in statuses}
+        if not as_json:
+            lines["page"] = page_line(statuses)
+        for name, line in lines.items():
+            if line and shown.get(name) != line:
                 typer.echo(line)
+            shown[name] = line
 
     yield show_changes
 
@@ -110,8 +115,16 @@ def _line(status: ServiceStatus) -> str:
     return f"{status.service:<13} {status.state:<13} {detail}".rstrip()
 
 
+def page_line(statuses: tuple["ServiceStatus", ...]) -> str:
+    """Returns where the web page is; empty while a service starts, or without the orchestrator, which has it."""
+    url = next((each.rest_url for each in statuses if (each.service, each.state) == ("orchestrator", "ready")), "")
+    has_started = all(each.state == "ready" or each.has_failed for each in statuses)
+    return f"See and steer everything in a browser: {url}/" if url and has_started else ""
+
+
 def _table(statuses: tuple["ServiceStatus", ...]) -> Table:
-    table = Table("service", "state", "REST", "gRPC", "restarts", "", caption="Ctrl-C stops all services", box=None)
+    caption = "\n".join(filter(None, ["Ctrl-C stops all services", page_line(statuses)]))
+    table = Table("service", "state", "REST", "gRPC", "restarts", "", caption=caption, box=None)
     for status in statuses:
         colour = _COLOURS.get(status.state, "yellow")
         state = f"[{colour}]{status.state}[/]"

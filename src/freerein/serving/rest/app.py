@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from contextlib import AsyncExitStack, aclosing, asynccontextmanager, suppress
+from contextlib import AsyncExitStack, aclosing
 from dataclasses import replace
 from typing import Any, cast
 
@@ -11,12 +11,11 @@ from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
 from starlette.requests import Request
-from starlette.responses import Response, StreamingResponse
+from starlette.responses import Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
-from starlette.types import Receive, Scope, Send
 
 from freerein import wire
-from freerein.errors import Cancelled, DeadlineExceeded, InvalidInput, must_be
+from freerein.errors import InvalidInput, must_be
 from freerein.serving.call_recorder import OTHER, CallRecorder, machine_errors
 from freerein.serving.error_replies import MethodNotAllowed
 from freerein.serving.health import Health
@@ -25,12 +24,15 @@ from freerein.serving.memory import Memory, encode
 from freerein.serving.methods import Method
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest import body, pictures, tensor_lists
+from freerein.serving.rest.client_presence import HeldResponse, while_connected
 from freerein.serving.rest.docs_page import docs_routes
 from freerein.serving.rest.field_names import unknown_path
 from freerein.serving.rest.middleware import SHARE, RequestMiddleware
 from freerein.serving.rest.openapi import MEDIA_TYPES, api_title, openapi_document
 from freerein.serving.rest.origin_policy import OriginPolicy
 from freerein.serving.rest.reply_parts import PartsResponse, json_parts
+from freerein.serving.rest.session import Session
+from freerein.serving.rest.web_page import WebPage
 from freerein.serving.rest.websocket import ABOUT, PATH, OpenSession, WebSocketEndpoint
 
 _Endpoint = Callable[[Request], Awaitable[Response]]
@@ -51,12 +53,13 @@ def make_app(
     is_local: bool = False,
     open_websocket: OpenSession | None = None,
     configs: Callable[[], Mapping[str, Any]] = dict,
+    page: WebPage | None = None,
 ) -> Starlette:
     """Returns the REST API of a service; methods without a REST form are served over gRPC only.
 
     An empty `token` allows every call. Web pages of the `origins` may call it, too. With `is_local`, it must be called
     by a name of loopback. With `open_websocket` it has a WebSocket. Without `memory`, it has all of the limits' alone.
-    `configs` returns JSON schemas of the field `config`, by message of a request.
+    `configs` returns JSON schemas of the field `config`, by message of a request. With a `page`, browsers may sign in.
     """
     origin_policy = OriginPolicy(origins, is_local)
     served = [method for method in methods if method.rest_form != "none"]
@@ -77,21 +80,21 @@ def make_app(
             open_websocket, health=health, metrics=metrics, limits=limits, token=token, origin_policy=origin_policy
         )
         routes += [WebSocketRoute(PATH, endpoint.serve), WebSocketRoute("/{elsewhere:path}", endpoint.refuse_path)]
-    app = Starlette(routes=routes, exception_handlers={HTTPException: _raise_error})
+    session = Session(token) if page else None
+    pages = [*page.routes, session.route] if page and session else []
+    app = Starlette(routes=[*pages, *routes], exception_handlers={HTTPException: _raise_error})
     app.router.redirect_slashes = False
     app.state.paths = [route.path for route in routes if isinstance(route, Route)]
-    recorders = {
-        method.path: CallRecorder(metrics, "rest", method.name, is_stream=method.is_stream) for method in served
-    }
-    other = CallRecorder(metrics, "rest", OTHER)
     app.add_middleware(
         RequestMiddleware,
         limits=limits,
         memory=memory or Memory(limits),
         token=token,
         origin_policy=origin_policy,
-        recorders=recorders,
-        other=other,
+        recorders={each.path: CallRecorder(metrics, "rest", each.name, is_stream=each.is_stream) for each in served},
+        other=CallRecorder(metrics, "rest", OTHER),
+        assets=page.assets if page else None,
+        session=session,
     )
     if origins:
         _allow_origins(app, origins)
@@ -128,7 +131,7 @@ def _unary(method: Method, limits: Limits) -> _Endpoint:
         else:
             message = await body.read(request, method.request)
         write = _writer(request, method)
-        async with _while_connected(request, limits.unary_s):
+        async with while_connected(request, limits.unary_s):
             response = await method.call(message)
         return await write(response)
 
@@ -176,13 +179,13 @@ def _stream(method: Method, limits: Limits, slots: Slots) -> _Endpoint:
             items = await resources.enter_async_context(aclosing(method.call(message)))
             heard = await resources.enter_async_context(aclosing(_with_silences(items, silence_s)))
             # awaited before the reply begins, so that an unknown id is a 404, not a broken stream
-            async with _while_connected(request):
+            async with while_connected(request):
                 first = await anext(heard, None)
             media_type, headers = MEDIA_TYPES[method.rest_form], _UNBUFFERED if is_events else {}
             if request.method == "HEAD":
                 return Response(media_type=media_type, headers=headers)
             content = _encoded(first, heard, encode_item)
-            return _StreamResponse(content, resources.pop_all(), media_type=media_type, headers=headers)
+            return HeldResponse(content, resources.pop_all(), media_type=media_type, headers=headers)
 
     return answer
 
@@ -207,18 +210,6 @@ async def _with_silences(items: AsyncIterator[Any], silence_s: float | None) -> 
         await asyncio.gather(item, return_exceptions=True)  # a generator must not be closed while it runs
 
 
-class _StreamResponse(StreamingResponse):
-    """A streaming response that releases its resources when it ends, whether or not its body was iterated."""
-
-    def __init__(self, content: AsyncIterator[bytes], resources: AsyncExitStack, **options: Any) -> None:
-        super().__init__(content, **options)
-        self._resources = resources
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async with self._resources:
-            await super().__call__(scope, receive, send)
-
-
 async def _encoded(first: Any, rest: AsyncIterator[Any], encode: Callable[[Any], bytes]) -> AsyncIterator[bytes]:
     if first is not None:
         yield encode(first)
@@ -234,38 +225,6 @@ def _encode_event(item: Any) -> bytes:
 
 def _encode_part(item: Any) -> bytes:
     return cast(bytes, item.data)
-
-
-@asynccontextmanager
-async def _while_connected(request: Request, timeout_s: float | None = None) -> AsyncIterator[None]:
-    """Cancels the block when the client disconnects or the time is up, which are then errors."""
-    gone = asyncio.ensure_future(_disconnected(request))
-
-    def end_now(_: object) -> None:
-        with suppress(RuntimeError):  # it has ended meanwhile
-            deadline.reschedule(0)
-
-    try:
-        async with asyncio.timeout(timeout_s) as deadline:
-            gone.add_done_callback(end_now)
-            yield
-    except TimeoutError:
-        if not deadline.expired():
-            raise
-        if gone.done():
-            gone.result()  # raises when the request's body is over a limit
-            raise Cancelled("The client disconnected before the reply.") from None
-        raise DeadlineExceeded(
-            f"The reply was due within {timeout_s:g} s; it was not ready.", hint="Send less per call."
-        ) from None
-    finally:
-        gone.cancel()
-        await asyncio.gather(gone, return_exceptions=True)
-
-
-async def _disconnected(request: Request) -> None:
-    while (await request.receive())["type"] != "http.disconnect":
-        pass
 
 
 def _health_and_metrics_routes(health: Health, metrics: Metrics) -> list[BaseRoute]:

@@ -50,7 +50,9 @@ def docs_routes(document: Callable[[], dict[str, Any]], *, title: str) -> list[B
         )
 
     async def page(_request: Request) -> Response:
-        return await asyncio.to_thread(written)
+        response = await asyncio.to_thread(written)
+        response.headers["content-security-policy"] = "frame-ancestors 'none'"  # it calls with the page's cookie, too
+        return response
 
     async def root(_request: Request) -> Response:
         return RedirectResponse("docs")

@@ -21,8 +21,9 @@ from freerein.serving.call_recorder import CallRecorder
 from freerein.serving.error_replies import problem_response
 from freerein.serving.limits import COPIES, Limits
 from freerein.serving.memory import Memory, Share
-from freerein.serving.rest import docs_page
+from freerein.serving.rest import docs_page, session
 from freerein.serving.rest.origin_policy import OriginPolicy
+from freerein.serving.rest.session import Session
 
 MAX_HEADER_BYTES = 16 * 1024
 REQUEST_ID = "freerein.request_id"
@@ -39,7 +40,10 @@ _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 @dataclass(eq=False)
 class RequestMiddleware:
-    """Pure ASGI middleware around the whole app. `recorders` are by path; requests of no such path are `other`."""
+    """Pure ASGI middleware around the whole app. `recorders` are by path; requests of no such path are `other`.
+
+    Paths that begin with `assets` are there without the token. With a `session`, its cookie stands for the token.
+    """
 
     app: ASGIApp
     limits: Limits
@@ -48,6 +52,8 @@ class RequestMiddleware:
     origin_policy: OriginPolicy
     recorders: Mapping[str, CallRecorder]
     other: CallRecorder
+    assets: str | None = None
+    session: Session | None = None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serves one request."""
@@ -78,8 +84,8 @@ class RequestMiddleware:
                 hint="Send long values in the body.",
             )
         if scope["path"] not in _PATHS_OF_HEALTH:
-            if scope["path"] not in docs_page.PATHS:
-                auth.check(headers.get("authorization", ""), self.token)
+            if not self._is_open(scope["path"]):
+                self._authenticate(headers, reads=scope["method"] in ("GET", "HEAD"))
             self.origin_policy.check(headers)
         if headers.get("content-encoding", "identity").lower() != "identity":
             raise UnsupportedMedia(
@@ -99,6 +105,17 @@ class RequestMiddleware:
             raise self._too_large()
         if scope["method"] in ("GET", "HEAD") and (int(length[:20]) or "transfer-encoding" in headers):
             raise MalformedRequest("A request by GET must have no body; it has one.", hint="Send values in the query.")
+
+    def _is_open(self, path: str) -> bool:
+        """Returns whether a path is there without the token."""
+        of_page = self.assets is not None and path.startswith(self.assets)
+        return path in docs_page.PATHS or of_page or (self.session is not None and path == session.PATH)
+
+    def _authenticate(self, headers: Headers, *, reads: bool) -> None:
+        if self.session is not None and "authorization" not in headers and self.session.is_in(headers):
+            self.origin_policy.check_session(headers, reads=reads)
+        else:
+            auth.check(headers.get("authorization", ""), self.token)
 
     def _bounded(self, receive: Receive, scope: Scope, share: Share) -> Receive:
         """Returns a `receive` that raises an error as soon as the body exceeds a size limit, or is late."""

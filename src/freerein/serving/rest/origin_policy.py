@@ -43,6 +43,21 @@ class OriginPolicy:
                 hint="Set FREEREIN_CORS_ORIGINS to the page's origin.",
             )
 
+    def check_session(self, headers: Headers, *, reads: bool) -> None:
+        """Raises PermissionDenied for a request with a session's cookie that is not of the service's own page.
+
+        Pages of the `origins` send the token, for pages of other ports of this host have the cookie sent, too.
+        Behind a proxy that changes `Host`, an own page is one of the `origins` that the browser calls same-origin.
+        """
+        origin, site = headers.get("origin"), headers.get("sec-fetch-site")
+        is_own = reads if origin is None else origin.lower() in _own_origins(headers.get("host", "").lower())
+        is_behind_proxy = origin in self.origins and site == "same-origin"
+        if not (is_own or is_behind_proxy) or site not in (None, "none", "same-origin"):
+            raise PermissionDenied(
+                "A call with the cookie of a session must come from the service's own page; it does not.",
+                hint="Other programs and pages send the header Authorization: Bearer <the service's FREEREIN_TOKEN>.",
+            )
+
 
 def _own_origins(host: str) -> tuple[str, str]:
     """Returns the origins of pages of a service that is called `host`; browsers leave out default ports."""

@@ -86,6 +86,31 @@ class OrchestratorServiceStub(object):
                 request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetArtifactRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetArtifactResponse.FromString,
                 _registered_method=True)
+        self.ListDatasets = channel.unary_unary(
+                '/freerein.api.orchestrator.v1.OrchestratorService/ListDatasets',
+                request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetsRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetsResponse.FromString,
+                _registered_method=True)
+        self.ListDatasetProblems = channel.unary_unary(
+                '/freerein.api.orchestrator.v1.OrchestratorService/ListDatasetProblems',
+                request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetProblemsRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetProblemsResponse.FromString,
+                _registered_method=True)
+        self.GetTrajectory = channel.unary_unary(
+                '/freerein.api.orchestrator.v1.OrchestratorService/GetTrajectory',
+                request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetTrajectoryRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetTrajectoryResponse.FromString,
+                _registered_method=True)
+        self.GetFrames = channel.unary_unary(
+                '/freerein.api.orchestrator.v1.OrchestratorService/GetFrames',
+                request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetFramesRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetFramesResponse.FromString,
+                _registered_method=True)
+        self.SaveLabels = channel.unary_unary(
+                '/freerein.api.orchestrator.v1.OrchestratorService/SaveLabels',
+                request_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.SaveLabelsRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.SaveLabelsResponse.FromString,
+                _registered_method=True)
 
 
 class OrchestratorServiceServicer(object):
@@ -163,6 +188,41 @@ class OrchestratorServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def ListDatasets(self, request, context):
+        """Returns one page of the datasets in the data directory, by name.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListDatasetProblems(self, request, context):
+        """Returns what prevents or impairs learning skills from a dataset. It reads all of its actions, and some frames.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def GetTrajectory(self, request, context):
+        """Returns one trajectory of a dataset without its frames.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def GetFrames(self, request, context):
+        """Returns some frames of a trajectory, for people to look at.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def SaveLabels(self, request, context):
+        """Saves labels of a trajectory that a person gave, in place of those that a person gave before. No fit reads them.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_OrchestratorServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -215,6 +275,31 @@ def add_OrchestratorServiceServicer_to_server(servicer, server):
                     servicer.GetArtifact,
                     request_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetArtifactRequest.FromString,
                     response_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetArtifactResponse.SerializeToString,
+            ),
+            'ListDatasets': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListDatasets,
+                    request_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetsRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetsResponse.SerializeToString,
+            ),
+            'ListDatasetProblems': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListDatasetProblems,
+                    request_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetProblemsRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetProblemsResponse.SerializeToString,
+            ),
+            'GetTrajectory': grpc.unary_unary_rpc_method_handler(
+                    servicer.GetTrajectory,
+                    request_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetTrajectoryRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetTrajectoryResponse.SerializeToString,
+            ),
+            'GetFrames': grpc.unary_unary_rpc_method_handler(
+                    servicer.GetFrames,
+                    request_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetFramesRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetFramesResponse.SerializeToString,
+            ),
+            'SaveLabels': grpc.unary_unary_rpc_method_handler(
+                    servicer.SaveLabels,
+                    request_deserializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.SaveLabelsRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.SaveLabelsResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -489,6 +574,141 @@ class OrchestratorService(object):
             '/freerein.api.orchestrator.v1.OrchestratorService/GetArtifact',
             freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetArtifactRequest.SerializeToString,
             freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetArtifactResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListDatasets(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.orchestrator.v1.OrchestratorService/ListDatasets',
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetsRequest.SerializeToString,
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetsResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListDatasetProblems(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.orchestrator.v1.OrchestratorService/ListDatasetProblems',
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetProblemsRequest.SerializeToString,
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.ListDatasetProblemsResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def GetTrajectory(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.orchestrator.v1.OrchestratorService/GetTrajectory',
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetTrajectoryRequest.SerializeToString,
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetTrajectoryResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def GetFrames(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.orchestrator.v1.OrchestratorService/GetFrames',
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetFramesRequest.SerializeToString,
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.GetFramesResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def SaveLabels(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.orchestrator.v1.OrchestratorService/SaveLabels',
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.SaveLabelsRequest.SerializeToString,
+            freerein_dot_api_dot_orchestrator_dot_v1_dot_orchestrator__pb2.SaveLabelsResponse.FromString,
             options,
             channel_credentials,
             insecure,

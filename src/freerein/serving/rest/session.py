@@ -1,0 +1,80 @@
+"""`/session`: a browser gives the token once, and keeps a cookie that stands for it.
+
+The cookie is an HMAC of the token. Nothing is stored: it is valid until the service has another token, and a script
+cannot read it. A browser sends it along whatever page makes it call, so that calls with it are checked by
+`OriginPolicy.check_session`.
+"""
+
+import hmac
+from typing import Any
+
+import orjson
+from starlette.datastructures import Headers
+from starlette.requests import Request, cookie_parser
+from starlette.responses import Response
+from starlette.routing import Route
+
+from freerein.errors import InvalidInput, MalformedRequest, Unauthenticated, UnsupportedMedia
+
+PATH = "/session"
+_COOKIE = "freerein_session"
+_LABEL = b"freerein session"
+
+
+class Session:
+    """The session of a service with this token; without one there is nothing to sign in to."""
+
+    def __init__(self, token: str) -> None:
+        self._token = token.encode()
+        self._value = hmac.digest(self._token, _LABEL, "sha256").hex() if token else ""
+        self.route = Route(PATH, self._answer, methods=["GET", "POST", "DELETE"])
+
+    def is_in(self, headers: Headers) -> bool:
+        """Returns whether a request has the cookie; compared in constant time."""
+        given = cookie_parser(headers.get("cookie", "")).get(_COOKIE, "")
+        return bool(self._value) and hmac.compare_digest(given.encode(), self._value.encode())
+
+    async def _answer(self, request: Request) -> Response:
+        if request.method == "POST":
+            return await self._sign_in(request)
+        if request.method == "DELETE":
+            response = Response(status_code=204)
+            response.delete_cookie(_COOKIE, **_attributes(request))
+            return response
+        state = {"token_needed": bool(self._token), "signed_in": not self._token or self.is_in(request.headers)}
+        return Response(orjson.dumps(state), media_type="application/json", headers={"cache-control": "no-store"})
+
+    async def _sign_in(self, request: Request) -> Response:
+        token = await _given_token(request)
+        if self._token and not hmac.compare_digest(token.encode(), self._token):
+            raise Unauthenticated(
+                "The token must be that of the service; it is another one.",
+                field="token",
+                hint="Give the value of FREEREIN_TOKEN with which the service was started.",
+            )
+        response = Response(status_code=204)
+        if self._token:
+            response.set_cookie(_COOKIE, self._value, **_attributes(request))
+        return response
+
+
+async def _given_token(request: Request) -> str:
+    """Returns the token in a JSON body; a form of another page could send no such body."""
+    if request.headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
+        raise UnsupportedMedia("The body must be application/json; it is not.", hint='Send {"token": "..."}.')
+    try:
+        document = orjson.loads(await request.body())
+    except orjson.JSONDecodeError:
+        raise MalformedRequest("The body must be JSON; it is not.", hint='Send {"token": "..."}.') from None
+    token = document.get("token") if isinstance(document, dict) else None
+    if not isinstance(token, str) or set(document) != {"token"}:
+        raise InvalidInput(
+            "The body must be an object with the text `token` alone; it is not.",
+            field="token",
+            hint='Send {"token": "..."}.',
+        )
+    return token
+
+
+def _attributes(request: Request) -> dict[str, Any]:
+    return {"path": "/", "httponly": True, "samesite": "strict", "secure": request.url.scheme == "https"}

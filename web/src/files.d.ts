@@ -1,0 +1,9 @@
+declare module "*.webp" {
+  const url: string;
+  export default url;
+}
+declare module "*.json" {
+  const url: string;
+  export default url;
+}
+declare module "*.css" {}

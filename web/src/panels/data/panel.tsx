@@ -1,0 +1,31 @@
+/** Data and models: what there is to learn from, and what was learned. */
+import { Link } from "../../parts/link";
+import { query } from "../../url/location";
+import { Datasets } from "./datasets";
+import { Models } from "./models";
+
+export function DataPanel() {
+  const shown = query.value.show === "models" ? "models" : "datasets";
+  return (
+    <>
+      <div class="heading">
+        <h1>Data and models</h1>
+        <nav aria-label="Data and models">
+          <ul class="choices">
+            <li>
+              <Link to={{ view: "data", show: "" }} current={shown === "datasets"}>
+                Datasets
+              </Link>
+            </li>
+            <li>
+              <Link to={{ view: "data", show: "models" }} current={shown === "models"}>
+                Models
+              </Link>
+            </li>
+          </ul>
+        </nav>
+      </div>
+      {shown === "datasets" ? <Datasets /> : <Models />}
+    </>
+  );
+}

@@ -1,0 +1,69 @@
+/** What surrounds every view: navigation, sign-in, the live region. */
+import { useSignalEffect } from "@preact/signals";
+import type { ComponentType } from "preact";
+import { useEffect, useState } from "preact/hooks";
+import { signedOut } from "./api/client";
+import { asProblem, type Problem } from "./api/problem";
+import { SignIn, askSession } from "./parts/sign_in";
+import { Link } from "./parts/link";
+import { Failed, Loading } from "./parts/notice";
+import { said, say } from "./parts/say";
+import { Health, watchHealth } from "./panels/services/health";
+import { query } from "./url/location";
+import { VIEWS } from "./views";
+
+export function Shell() {
+  const view = VIEWS.find((each) => each.name === query.value.view) ?? VIEWS[0]!;
+  useEffect(() => {
+    void askSession();
+    return watchHealth();
+  }, []);
+  useEffect(() => say(view.title), [view]);
+  useSignalEffect(() => {
+    document.title = `${(VIEWS.find((each) => each.name === query.value.view) ?? VIEWS[0]!).title} · freerein`;
+  });
+  return (
+    <>
+      <a class="skip" href="#main">
+        Skip to content
+      </a>
+      <header class="bar">
+        <span class="wordmark">freerein</span>
+        <nav aria-label="Views">
+          <ul>
+            {VIEWS.map((each) => (
+              <li key={each.name}>
+                <Link to={{ view: each.name }} current={each === view}>
+                  {each.title}
+                </Link>
+              </li>
+            ))}
+          </ul>
+        </nav>
+        <Health />
+      </header>
+      <main id="main" tabIndex={-1}>
+        {signedOut.value ? <SignIn /> : <Opened key={view.name} name={view.name} />}
+      </main>
+      <div class="unseen" aria-live="polite" role="status">
+        {said.value}
+      </div>
+    </>
+  );
+}
+
+/** A view, once its code is there. */
+function Opened({ name }: { name: string }) {
+  const [panel, setPanel] = useState<{ view: ComponentType } | { problem: Problem } | null>(null);
+  useEffect(() => {
+    const view = VIEWS.find((each) => each.name === name)!;
+    view.load().then(
+      (component) => setPanel({ view: component }),
+      (error: unknown) => setPanel({ problem: asProblem(error) }),
+    );
+  }, [name]);
+  if (panel === null) return <Loading what="the view" />;
+  if ("problem" in panel) return <Failed problem={panel.problem} retry={() => location.reload()} />;
+  const View = panel.view;
+  return <View />;
+}
