@@ -86,7 +86,7 @@ def _say_what_is_where(reporter: Reporter, out: Path, data_dir: Path, *, total_s
         reporter.line("All services have stopped. Try next; Ctrl-C stops `freerein up`:")
         found = "" if shutil.which("freerein") else f"PATH={Path(sys.executable).parent}:$PATH "
         reporter.line(f"  export {found}FREEREIN_DATA_DIR={data_dir}  # in both terminals")
-        reporter.line("  freerein up")
+        reporter.line("  freerein up  # and open the page at the address it prints")
     for command in _TRY_NEXT:
         reporter.line(f"  {command}")
 
