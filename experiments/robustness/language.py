@@ -53,12 +53,12 @@ def obey(arm: Arm) -> list[Step]:
     ]
 
 
-def say_when_done(arm: Arm) -> list[Step]:
+def say_when_done(arm: Arm, **config: Any) -> list[Step]:
     """Returns the steps that distil a student that says when its goal is reached, and tell it what to do."""
     left, right = SIDES
     told = {"task": left, "other_tasks": [right], "policy": {"run": _STUDENT}}
     return [
-        _distil(arm, _STUDENT),
+        _distil(arm, _STUDENT, **config),
         evaluate("sentences", _told(_STUDENT), episodes=_SENTENCE_EPISODES, **told),
         *_teachers(),
     ]

@@ -5,6 +5,7 @@ A learner sees images, executed actions, tags and goal texts; true states are re
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -28,7 +29,8 @@ GOAL_CLONING, GOAL_CLONING_AUGMENTED, GOAL_CONDITIONED = "goal_cloning", "goal_c
 SKILLS, SKILLS_AUGMENTED, EXPERT = "skills", "skills_augmented", "expert"
 PPO, PPO_OWN_STARTS, PPO_PRACTICE = "ppo_training", "ppo_own_starts", "ppo_practice"
 PPO_AUGMENTED = "ppo_augmented"
-LANGUAGE, LANGUAGE_DONE, PPO_SPEED = "language", "language_done", "ppo_speed"
+LANGUAGE, LANGUAGE_DONE, LANGUAGE_DONE_AT_ONCE = "language", "language_done", "language_done_at_once"
+PPO_SPEED = "ppo_speed"
 
 STACK = "blocks.yellow-on-top-of-green"
 PPO_SEEDS, SPEED_RUNS = 5, 9
@@ -253,6 +255,9 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
         PPO_PRACTICE: _REINFORCED,
         LANGUAGE: PolicyArm(language.obey, _samples(language.sentence_samples)),
         LANGUAGE_DONE: PolicyArm(language.say_when_done, _samples(language.done_samples)),
+        LANGUAGE_DONE_AT_ONCE: PolicyArm(
+            partial(language.say_when_done, reached_steps=1), _samples(language.done_samples)
+        ),
     }
 )
 """How arms are made, by method."""
@@ -263,6 +268,7 @@ def arms(seeds: int) -> tuple[Arm, ...]:
     fitted = (GOAL_CLONING, GOAL_CLONING_AUGMENTED, GOAL_CONDITIONED, SKILLS, SKILLS_AUGMENTED, LANGUAGE, LANGUAGE_DONE)
     return (
         Arm(DEMONSTRATED, EXPERT),
+        Arm(DEMONSTRATED, LANGUAGE_DONE_AT_ONCE),
         *(Arm(DEMONSTRATED, method, seed=seed) for seed in range(seeds) for method in fitted),
         *(Arm(task, method, seed=seed) for method in _STARTS for seed in range(PPO_SEEDS) for task in (*SIDES, STACK)),
     )

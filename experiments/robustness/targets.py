@@ -209,7 +209,7 @@ def _told(claim: str, text: str, *samples: str, least: float | None = None, **mo
 
 def _done(claim: str, text: str, sample: str, **more: Any) -> Target:
     about = f"language policy that says when its goal is reached: {text}"
-    return Target(claim, about, (DEMONSTRATED,), (sample,), method=policies.LANGUAGE_DONE, **more)
+    return Target(claim, about, (DEMONSTRATED,), (sample,), **({"method": policies.LANGUAGE_DONE} | more))
 
 
 def _texts(claim: str, text: str, *samples: str, **more: Any) -> Target:
@@ -376,6 +376,13 @@ TARGETS = (
     ),
     _done("language_done_ece", "ECE there", evaluated.FLAG_ECE, most=0.05),
     _done("language_done_told", "told its task, % of its teachers", language.TOLD_OWN, unit=_PER_CENT),
+    _done(
+        "language_done_at_once",
+        "the same, where one frame is enough for it",
+        language.TOLD_OWN,
+        unit=_PER_CENT,
+        method=policies.LANGUAGE_DONE_AT_ONCE,
+    ),
     _speed(
         "ppo_speed",
         "PPO on the learned reward over the network, simulated control ticks per second",

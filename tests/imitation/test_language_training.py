@@ -224,14 +224,16 @@ def test_a_policy_says_whether_a_frame_shows_what_the_text_says_and_not_what_ano
     policy = LanguagePolicy(fitted.network, TextEncoder(text_encoder_file), control, training_texts=SIDES)
     assert policy.spec.predicts_reached
 
-    frames, nothing = (
-        np.zeros((12, 12, 12, 3), np.uint8),
-        (np.zeros((12, 2), np.float32), np.zeros((12, 0), np.float32)),
-    )
+    frames, asked = np.zeros((12, 12, 12, 3), np.uint8), config.reached_steps - 1
     frames[np.arange(12), :, np.arange(12)] = 200
+    previous, first = np.zeros((12, 2), np.float32), np.zeros((12, asked), np.float32)
     for text, is_there in zip(SIDES, (np.arange(12) < 6, np.arange(12) >= 6), strict=True):
-        said = policy.step({"front": frames}, policy.encode_goals([text] * 12), *nothing).reached
-        assert ((said > 0.5) == is_there).mean() > 0.9
+        goals = policy.encode_goals([text] * 12)
+        said = policy.step({"front": frames}, goals, previous, first)
+        assert ((said.reached > 0.5) == is_there).mean() > 0.9
+        assert not said.settled.any()  # it may be so for a moment
+        later = policy.step({"front": frames}, goals, previous, np.repeat(said.reached[:, None], asked, axis=1))
+        assert later.settled.tolist() == (said.reached >= 0.5).tolist()
     logits, _ = learner.held_out_reached(fitted.network)
     assert len(logits) > len(learner.validation)  # frames that show a goal are told the contrary, too
     probabilities, reached = torch.tensor([0.9, 0.75, 0.7, 0.7, 0.6]), torch.tensor([True, True, True, False, True])

@@ -90,12 +90,16 @@ class InferenceResult:
 
 
 class _Row(NamedTuple):
-    """A policy's output for one request: actions (K, A), probability, recurrent state (R,), in-distribution score."""
+    """A policy's output for one request: actions (K, A), probability, recurrent state (R,), in-distribution score.
+
+    `settled` tells whether the probability has lasted for long enough to count.
+    """
 
     actions: npt.NDArray[Any]
     reached: float
     recurrent: npt.NDArray[np.float32]
     in_distribution: float
+    settled: bool
 
 
 class PolicyRunner:
@@ -135,7 +139,13 @@ class PolicyRunner:
         _check_shapes(policy, output, len(requests))
         finite = _finite(output)
         return [
-            _Row(output.actions[i], float(output.reached[i]), output.recurrent[i], float(output.in_distribution[i]))
+            _Row(
+                output.actions[i],
+                float(output.reached[i]),
+                output.recurrent[i],
+                float(output.in_distribution[i]),
+                output.settled is None or bool(output.settled[i]),
+            )
             if finite[i]
             else _not_finite()
             for i in range(len(requests))
@@ -215,7 +225,7 @@ def _advance(request: InferenceRequest, row: _Row | OutputNotFinite) -> PolicySt
     if state.goal_index == len(request.goals):
         return replace(state, recurrent=row.recurrent)
     steps = state.goal_steps + request.elapsed
-    reached = row.reached >= request.policy.spec.reached_threshold
+    reached = row.settled and row.reached >= request.policy.spec.reached_threshold
     if reached or steps >= request.max_steps:
         abandoned = state.abandoned or not reached
         recurrent = request.policy.reset_goal_state(state.recurrent[None])[0]

@@ -133,12 +133,15 @@ class PolicyOutput:
         recurrent: Recurrent state after this step, float32 (B, R).
         in_distribution: How much each observation is like held-out ones, float32 (B,) in [0, 1]; see
             `freerein.learning.in_distribution`.
+        settled: Whether a goal that is probably reached has been so for long enough to count, bool (B,); None where one
+            observation is enough.
     """
 
     actions: npt.NDArray[Any]
     reached: npt.NDArray[np.float32]
     recurrent: npt.NDArray[np.float32]
     in_distribution: npt.NDArray[np.float32]
+    settled: npt.NDArray[np.bool_] | None = None
 
 
 class Policy(ABC):

@@ -56,12 +56,14 @@ class StepOutputs(NamedTuple):
         reached: Probability that each observation is at its goal, float32 (B,).
         recurrent: Recurrent state after this step, float32 (B, R).
         confidence: Probability of what it says of the goal, for the in-distribution score, float32 (B,).
+        settled: As of `PolicyOutput`, bool (B,) or None.
     """
 
     actions: Tensor
     reached: Tensor
     recurrent: Tensor
     confidence: Tensor
+    settled: Tensor | None = None
 
 
 class TorchPolicy(Policy, Generic[N]):
@@ -98,7 +100,9 @@ class TorchPolicy(Policy, Generic[N]):
         score = self._network.in_distribution
         familiarity = score(score.distance(image_statistics(seen)), output.confidence)
         parts = (output.actions, output.reached, output.recurrent, familiarity)
-        return PolicyOutput(*(each.cpu().numpy() for each in parts))
+        settled = None if output.settled is None else output.settled.cpu().numpy()
+        actions, reached, recurrent, in_distribution = (each.cpu().numpy() for each in parts)
+        return PolicyOutput(actions, reached, recurrent, in_distribution, settled)
 
     @abstractmethod
     def _step(self, inputs: StepInputs) -> StepOutputs:

@@ -21,6 +21,7 @@ class LanguageConfig(DatasetFitConfig):
         max_steps_per_goal: Control steps after which a goal is abandoned; 0 for the longest trajectory's.
         reached_weight: Weight of the loss of what it says of reaching the goal, learned where a reward model has judged
             the frames; 0 to say nothing.
+        reached_steps: Control steps in a row in which the goal must seem reached before it counts as reached.
         conditioning: What the network gets of a goal text. `text`: what it says. `code`: the number of the training
             text that is nearest to it, as in the primitive-code baseline of section 4.3. `none`: nothing, the baseline
             of a policy that follows texts.
@@ -35,4 +36,5 @@ class LanguageConfig(DatasetFitConfig):
     hidden_size: int = bounded(128, least=8, most=1024)
     max_steps_per_goal: int = bounded(0, least=0, most=1_000_000)
     reached_weight: float = bounded(0.3, least=0.0, most=100.0)
+    reached_steps: int = bounded(5, least=1, most=256)
     conditioning: Conditioning = "text"

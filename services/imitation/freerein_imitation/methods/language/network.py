@@ -39,6 +39,7 @@ class LanguageSpec(InputSpec):
         known_texts: Training goal texts.
         conditioning: As in `LanguageConfig`.
         predicts_reached: Whether it says that the goal is reached.
+        reached_steps: As in `LanguageConfig`.
         encoder: Image encoder.
         features: Image features per camera.
         text_features: Size of the text features.
@@ -50,6 +51,7 @@ class LanguageSpec(InputSpec):
     known_texts: int = bounded(1, least=1, most=MAX_KNOWN_TEXTS)
     conditioning: Conditioning = "text"
     predicts_reached: bool = False
+    reached_steps: int = bounded(1, least=1, most=256)
     encoder: str = one_of(ENCODERS, "spatial")
     features: int = bounded(128, least=8, most=1024)
     text_features: int = bounded(32, least=1, most=1024)

@@ -25,7 +25,10 @@ _ENCODER_KEY = "text_encoder"
 
 
 class LanguagePolicy(TorchPolicy[LanguageNetwork]):
-    """Follows a text. It has no recurrent state, and says whether the goal is reached where its network does.
+    """Follows a text, and says whether the goal is reached where its network does.
+
+    Its recurrent state is then what the network said of the last observations, zeros at first. A goal counts as reached
+    once it has seemed so in `reached_steps` of them in a row: what one frame shows, the robot may still carry on.
 
     A relation of two objects of its training texts that none of these states is followed, too, at an in-distribution
     score of 0.
@@ -60,6 +63,7 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
             goal_form="text",
             training_texts=tuple(training_texts),
             predicts_reached=spec.predicts_reached,
+            recurrent_size=spec.reached_steps - 1 if spec.predicts_reached else 0,
         )
         self.spec.known_texts.read("")  # reads thousands of training texts here, and not on the event loop
         self._text_encoder = text_encoder
@@ -87,8 +91,12 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
         actions = network.act_on(modulated)
         chosen = actions.argmax(dim=2) if self.spec.action.choices else actions.clamp(-1, 1)  # (B, A)
         familiar = network.knows(inputs.goals).float()
-        reached = torch.zeros_like(familiar) if network.recognizer is None else network.recognizer(modulated)
-        return StepOutputs(chosen[:, None], reached, inputs.recurrent, familiar)
+        if network.recognizer is None:
+            return StepOutputs(chosen[:, None], torch.zeros_like(familiar), inputs.recurrent, familiar)
+        reached = network.recognizer(modulated)
+        settled = (inputs.recurrent >= self.spec.reached_threshold).all(dim=1)
+        seemed = torch.cat([inputs.recurrent, reached[:, None]], dim=1)  # (B, reached_steps)
+        return StepOutputs(chosen[:, None], reached, seemed[:, 1:], familiar, settled)
 
 
 def text_encoder_entry(name: str, data: bytes) -> dict[str, JSON]:
