@@ -104,6 +104,10 @@ class CriterionGrammar(Grammar):
         read = {each for each in self._candidates(words(text)) if not self._fault(each)}
         return read.pop() if len(read) == 1 else None
 
+    def phrase(self, text: str) -> str | None:
+        """Returns the noun phrase that a text names, as the model spells it; None for another text."""
+        return self._phrase(words(text))
+
     def _candidates(self, said: Words) -> Iterator[CriterionCaption]:
         """Yields what words may say, also with too few or too many nouns, or of a view that the model has not."""
         said = self.wished(said)

@@ -179,6 +179,11 @@ class Grammar:
         nearest = self._nearest.find(said, strange)
         return GoalText(text, rivals, None, unknown, caption(*nearest) if nearest else "")
 
+    @property
+    def states_goals(self) -> bool:
+        """Whether the model has noun phrases, so that texts can state something; a grounding model has none."""
+        return bool(self._phrases)
+
     def unknown_words(self, phrases: Iterable[str]) -> Words:
         """Returns the words of noun phrases that neither the grammar nor the model knows, as `GoalText.unknown`."""
         return words_outside((word for phrase in phrases for word in words(phrase)), self._known)
