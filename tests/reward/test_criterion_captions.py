@@ -18,6 +18,7 @@ from freerein.learning.fit import fit
 from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward.core import GroundingModel, RewardModel
+from freerein_reward.methods.criterion_captions.augmented_moments import augment_moments
 from freerein_reward.methods.criterion_captions.captions import (
     FALSE,
     HIDDEN,
@@ -28,6 +29,7 @@ from freerein_reward.methods.criterion_captions.captions import (
     UNSURE,
     label_captions,
     phrase_tuples,
+    sampled_tuples,
 )
 from freerein_reward.methods.criterion_captions.config import CriterionConfig
 from freerein_reward.methods.criterion_captions.criterion_model import CriterionModel
@@ -146,6 +148,13 @@ def test_an_image_has_the_caption_of_every_criterion_that_holds_at_the_places_of
     assert label(labels, Claim.MISSING, "", (0, 1), 3) == FALSE
 
 
+def test_of_many_phrases_some_pairs_and_triples_are_scored_at_once_and_of_few_all() -> None:
+    assert np.array_equal(sampled_tuples(4, np.random.default_rng(0)), phrase_tuples(4))
+    some = sampled_tuples(16, np.random.default_rng(0))
+    assert (len(some), int((some[:, -1] == NO_NOUN).sum())) == (64, 32)
+    assert len(sampled_tuples(2, np.random.default_rng(0))) == 2
+
+
 def test_what_a_view_does_not_show_is_in_no_criterion_and_what_none_shows_is_missing() -> None:
     places, shown = np.zeros((1, 3, 2, 2)), np.full((1, 3, 2), SHOWN, np.int8)
     places[0, :, 1] = (1, 0)
@@ -213,9 +222,8 @@ def test_distractors_cover_nothing_that_is_kept_and_half_of_the_colours_are_its(
 
 
 def test_places_move_with_the_frames_and_captions_stay(learner: CriterionLearner) -> None:
-    strong = replace(learner, config=replace(CONFIG, augmentation=1.0))
     batch = learner.training.subset(np.arange(40))
-    seen = strong.augmented(batch, 1.0, torch.Generator().manual_seed(0))
+    seen = augment_moments(batch, 1.0, distractors=1.0, generator=torch.Generator().manual_seed(0))
     moved = 64 * (seen.places - batch.places)
     assert np.ptp(moved, axis=(1, 2)).max() < 1e-3  # all views and phrases of a moment alike
     assert np.abs(moved).max() > 4
@@ -323,15 +331,9 @@ def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: CriterionLearne
     assert weights.sha256(whole.network) == weights.sha256(parts.network)
 
 
-def test_an_encoder_of_another_width_begins_at_random_and_the_texts_stay_the_grounding_models(
-    learner: CriterionLearner,
-) -> None:
-    wide = replace(learner, spec=replace(learner.spec, width=16))
-    network = wide.init(torch.Generator().manual_seed(0)).network
-    assert network.image.channels == 128
+def test_the_text_encoder_stays_the_grounding_models(model: CriterionModel, learner: CriterionLearner) -> None:
     theirs = learner.grounding.network.text.state_dict()
-    assert all(torch.equal(tensor, theirs[name]) for name, tensor in network.text.state_dict().items())
-    assert not any(each.requires_grad for each in network.text.parameters())
+    assert all(torch.equal(tensor, theirs[name]) for name, tensor in model.network.text.state_dict().items())
 
 
 @pytest.mark.parametrize(

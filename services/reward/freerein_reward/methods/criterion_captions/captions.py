@@ -19,6 +19,9 @@ TRUE, FALSE, UNKNOWN = 1, 0, -1
 NO_NOUN = -1
 """Instead of the third phrase of a pair."""
 
+_MOST = 32
+"""Pairs, and triples, whose captions are scored at once: 16 phrases have 240 and 3 360."""
+
 Labels = npt.NDArray[np.int8]
 
 
@@ -27,6 +30,14 @@ def phrase_tuples(count: int) -> npt.NDArray[np.int64]:
     pairs = [(*pair, NO_NOUN) for pair in permutations(range(count), MAX_NOUNS - 1)]
     triples = permutations(range(count), MAX_NOUNS)
     return np.array([*pairs, *triples], np.int64).reshape(-1, MAX_NOUNS)
+
+
+def sampled_tuples(count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    """Returns at most `_MOST` pairs and as many triples of `phrase_tuples`, in their order, int64 (T, `MAX_NOUNS`)."""
+    tuples = phrase_tuples(count)
+    is_pair = tuples[:, -1] == NO_NOUN
+    kinds = (tuples[is_pair], tuples[~is_pair])
+    return np.concatenate([each[np.sort(rng.permutation(len(each))[:_MOST])] for each in kinds])
 
 
 def label_captions(

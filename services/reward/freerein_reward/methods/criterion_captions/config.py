@@ -20,7 +20,6 @@ class CriterionConfig(DatasetFitConfig):
         batch_size: Moments per optimiser step.
         augmentation: Strength of the camera augmentation; 0 for none.
         distractors: Strength of the distractors, shapes that no phrase names; 0 for none.
-        width: Channels of the image encoder's stem; the grounding model's weights are taken where it has as many.
         hidden_size: Units of each of the two hidden layers that read places.
         embedding_dim: Dimension of a caption's embedding.
     """
@@ -36,6 +35,5 @@ class CriterionConfig(DatasetFitConfig):
     warmup_steps: int = bounded(50, least=1, most=1_000_000)
     augmentation: float = bounded(1.0, least=0.0, most=1.0)
     distractors: float = bounded(1.0, least=0.0, most=1.0)
-    width: int = bounded(8, least=8, most=128)
     hidden_size: int = bounded(64, least=1, most=4096)
     embedding_dim: int = bounded(16, least=4, most=64)

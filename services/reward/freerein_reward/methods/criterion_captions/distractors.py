@@ -14,8 +14,12 @@ _LEAST_SIDE, _MOST_SIDE = 0.05, 0.25
 _OWN_COLOUR = 0.7
 """Share of the round ones that have the colour of an object. Square ones do not: they might be taken for a block."""
 
-_DARKEST = 0.55
-"""Brightness of the rim of a shaded one relative to its middle."""
+_OWN_SIZE, _ABOUT = 0.5, (0.7, 1.5)
+"""Share of the distractors that are about as large as an object, and their sides as shares of the object's."""
+
+_LIGHT_AT, _DARKENING = 0.5, 0.4
+"""Largest distance of the brightest point of a shaded one from its middle, and its loss of brightness one away from
+there, both in half sides."""
 
 
 def add_distractors(
@@ -35,8 +39,8 @@ def add_distractors(
     palette = colours_at(frames, places, is_kept)
     across, down = (torch.arange(width) + 0.5) / width, (torch.arange(height) + 0.5) / height
     for _ in range(_MOST):
-        sides = _LEAST_SIDE + (_MOST_SIDE - _LEAST_SIDE) * torch.rand((count, 2), generator=generator)
-        centres = torch.rand((count, 2), generator=generator)
+        sides = _sides(count, 2 * clearance, generator)
+        centres, bright = torch.rand((2, count, 2), generator=generator)
         is_round, is_own, is_shaded, is_wanted = _coins(count, strength, generator)
         covers = ((places - centres[:, None]).abs() < (sides / 2)[:, None] + clearance).all(dim=2) & is_kept
         is_there = is_wanted & ~covers.any(dim=1)
@@ -46,7 +50,9 @@ def add_distractors(
         radius = x[:, None].square() + y[:, :, None].square()  # (N, H, W)
         square = torch.maximum(x[:, None].abs(), y[:, :, None].abs())
         covered = (torch.where(is_round[:, None, None], radius, square) <= 1) & is_there[:, None, None]
-        light = 1 - (1 - _DARKEST) * radius.clamp(max=1) * (is_round & is_shaded)[:, None, None]
+        at = (2 * bright - 1) * _LIGHT_AT  # (N, 2)
+        distance = (x - at[:, :1])[:, None].square() + (y - at[:, 1:])[:, :, None].square()  # (N, H, W)
+        light = (1 - _DARKENING * distance * (is_round & is_shaded)[:, None, None]).clamp(min=0)
         drawn = (colours[:, None, None] * light[..., None]).to(torch.uint8)
         frames = torch.where(covered[..., None], drawn, frames)
     return frames
@@ -58,6 +64,14 @@ def colours_at(frames: Tensor, places: Tensor, is_kept: Tensor) -> Tensor:
     columns, rows = (places * sides).long().clamp(min=0).minimum(sides - 1).unbind(dim=2)  # (N, P)
     numbers = torch.arange(len(frames))[:, None].expand_as(rows)
     return frames[numbers[is_kept], rows[is_kept], columns[is_kept]].float()
+
+
+def _sides(count: int, own: Tensor, generator: torch.Generator) -> Tensor:
+    """Returns width and height of distractors as fractions, float (N, 2); `own`, (2,), are those of an object."""
+    anything = _LEAST_SIDE + (_MOST_SIDE - _LEAST_SIDE) * torch.rand((count, 2), generator=generator)
+    least, most = _ABOUT
+    about = own * (least + (most - least) * torch.rand((count, 1), generator=generator))
+    return torch.where(torch.rand((count, 1), generator=generator) < _OWN_SIZE, about, anything)
 
 
 def _coins(count: int, strength: float, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:

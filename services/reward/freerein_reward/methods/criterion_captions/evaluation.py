@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from freerein.criterion_text import Claim
-from freerein_reward.methods.criterion_captions.captions import FALSE, TRUE, phrase_tuples
+from freerein_reward.methods.criterion_captions.captions import FALSE, TRUE, sampled_tuples
 from freerein_reward.methods.criterion_captions.decisions import goal_scores, rewards
 from freerein_reward.methods.criterion_captions.losses import caption_scores, locate_all, stacked
 from freerein_reward.methods.criterion_captions.network import STATEMENTS, CriterionNetwork
@@ -18,7 +18,7 @@ def evaluate_criteria(network: CriterionNetwork, dataset: PlaceDataset, *, toler
     Where all images say the same of a criterion, it has none. Captions come from the grounding model, so that this is
     agreement with it, not ground truth.
     """
-    tuples = phrase_tuples(len(network.spec.phrases))
+    tuples = sampled_tuples(len(network.spec.phrases), np.random.default_rng(0))
     labels = dataset.captions(tuples, tolerance=tolerance)
     scores = caption_scores(network, locate_all(network, stacked(dataset), network.device), tuples)
     is_missing = labels[..., STATEMENTS.index((Claim.MISSING, ""))] == TRUE

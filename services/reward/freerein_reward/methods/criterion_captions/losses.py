@@ -20,22 +20,21 @@ from torch import Tensor
 from torch.nn import functional
 
 from freerein.learning import weights
-from freerein.learning.augmentation import CameraTakes, agreement, delayed
+from freerein.learning.augmentation import agreement, delayed
 from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
+from freerein_reward.methods.criterion_captions.augmented_moments import augment_moments
 from freerein_reward.methods.criterion_captions.captions import (
     FALSE,
-    HIDDEN,
-    NO_NOUN,
     SHOWN,
     TRUE,
     UNSURE,
     phrase_tuples,
+    sampled_tuples,
 )
 from freerein_reward.methods.criterion_captions.config import CriterionConfig
 from freerein_reward.methods.criterion_captions.decisions import answer_confidence
-from freerein_reward.methods.criterion_captions.distractors import add_distractors
 from freerein_reward.methods.criterion_captions.imagined_places import imagine_places
 from freerein_reward.methods.criterion_captions.locator import INITIAL_LOGIT, Located, target_distribution
 from freerein_reward.methods.criterion_captions.network import MAX_NOUNS, CriterionNetwork
@@ -46,9 +45,6 @@ from freerein_reward.model import GradCamModel
 State = TrainState[CriterionNetwork]
 
 _MOMENTS_AT_ONCE = 64
-_TUPLES_AT_ONCE = 64
-"""Most pairs and triples of phrases whose captions one optimiser step scores."""
-
 _IMAGINED = 256
 """Scenes of imagined places per optimiser step."""
 
@@ -78,8 +74,8 @@ class CriterionLearner(Learner[CriterionNetwork]):
 
     @property
     def tuples(self) -> npt.NDArray[np.int64]:
-        """Every pair and triple of phrases that captions speak of, int64 (T, 3)."""
-        return phrase_tuples(len(self.spec.phrases))
+        """Pairs and triples of phrases whose captions tell how good a network is, int64 (T, 3)."""
+        return sampled_tuples(len(self.spec.phrases), np.random.default_rng(self.config.seed))
 
     def init(self, generator: torch.Generator) -> State:
         """Returns the initial state, with text encoder, convolutions and heat of the grounding model."""
@@ -90,7 +86,8 @@ class CriterionLearner(Learner[CriterionNetwork]):
 
     def loss(self, state: State, items: Items) -> Losses:
         """Returns the losses of some moments."""
-        batch, chosen = self._mirror(self.training.subset(items), state), self._choose_tuples(state)
+        batch = self._mirror(self.training.subset(items), state)
+        chosen = sampled_tuples(len(self.spec.phrases), state.rng())
         located = locate_all(state.network, stacked(batch), self.device)
         scores = caption_scores(state.network, located, chosen)
         captions = caption_loss(scores, self._labels(batch, chosen)) + self._imagined_loss(state)
@@ -99,7 +96,7 @@ class CriterionLearner(Learner[CriterionNetwork]):
         strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
         augmented = captions.new_zeros(())
         if strength:
-            seen = self.augmented(batch, strength, state.generator)
+            seen = self._augment(batch, strength, state.generator)
             relocated = locate_all(state.network, stacked(seen), self.device)
             rescored = caption_scores(state.network, relocated, chosen)
             augmented = place_loss(relocated, seen) + agreement(_binary(rescored), _binary(scores))
@@ -109,7 +106,7 @@ class CriterionLearner(Learner[CriterionNetwork]):
     def evaluate(self, state: State) -> float:
         """Returns the losses of places and captions of the validation moments, as they are and augmented."""
         generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
-        seen = [self.validation, *([self.augmented(self.validation, strength, generator)] if strength else [])]
+        seen = [self.validation, *([self._augment(self.validation, strength, generator)] if strength else [])]
         labels = self._labels(self.validation, self.tuples)
         losses = []
         for each in seen:
@@ -123,7 +120,7 @@ class CriterionLearner(Learner[CriterionNetwork]):
         """Fits the network's in-distribution score, to training moments as they were seen and to held-out ones."""
         generator = torch.Generator().manual_seed(self.config.seed)
         sampled = np.linspace(0, self.size - 1, min(self.size, KNOWN_FRAMES)).round().astype(np.int64)
-        known = self.augmented(self.training.subset(sampled), self.config.augmentation, generator)
+        known = self._augment(self.training.subset(sampled), self.config.augmentation, generator)
         located = locate_all(network, stacked(self.validation), self.device)
         confidence = answer_confidence(caption_scores(network, located, self.tuples), self.tuples, network.grammar)
         known_views = network.statistics(stacked(known))
@@ -135,30 +132,6 @@ class CriterionLearner(Learner[CriterionNetwork]):
             trajectories=self.held_out_trajectories or len(self.validation),
             augmented=self.config.augmentation > 0,
         )
-
-    def augmented(self, batch: PlaceDataset, strength: float, generator: torch.Generator) -> PlaceDataset:
-        """Returns moments as other cameras would have seen them, with distractors; the views of a moment alike."""
-        if not strength:
-            return batch
-        height, width = batch.frames[0].shape[1:3]
-        takes = CameraTakes.draw(len(batch), (height, width), strength=strength, generator=generator)
-        frames, places = [], torch.from_numpy(batch.places)
-        for camera, view in enumerate(batch.frames):
-            clearance = torch.from_numpy(batch.layout.unit(camera) / 2)
-            shown = torch.from_numpy(batch.shown[:, camera] != HIDDEN)
-            strewn = add_distractors(
-                torch.from_numpy(view),
-                places[:, camera],
-                shown,
-                clearance=clearance,
-                strength=self.config.distractors,
-                generator=generator,
-            )
-            frames.append(takes.of(strewn, generator).numpy())
-        moved = batch.places - takes.offsets.flip(1).numpy()[:, None, None] / np.array([width, height])
-        is_outside = ((moved < 0) | (moved > 1)).any(axis=3) & (batch.shown == SHOWN)
-        shown_after = np.where(is_outside, UNSURE, batch.shown).astype(np.int8)
-        return replace(batch, frames=tuple(frames), places=moved.astype(np.float32), shown=shown_after)
 
     def _imagined_loss(self, state: State) -> Tensor:
         """Returns the loss of captions of imagined places."""
@@ -172,16 +145,8 @@ class CriterionLearner(Learner[CriterionNetwork]):
         labels = batch.captions(tuples, tolerance=self.config.tolerance)
         return torch.from_numpy(labels).to(self.device)
 
-    def _choose_tuples(self, state: State) -> npt.NDArray[np.int64]:
-        tuples = self.tuples
-        if len(tuples) <= _TUPLES_AT_ONCE:
-            return tuples
-        is_pair = tuples[:, -1] == NO_NOUN
-        halves = []
-        for kind in (tuples[is_pair], tuples[~is_pair]):
-            order = torch.randperm(len(kind), generator=state.generator)[: _TUPLES_AT_ONCE // 2]
-            halves.append(kind[order.numpy()])
-        return np.concatenate(halves)
+    def _augment(self, batch: PlaceDataset, strength: float, generator: torch.Generator) -> PlaceDataset:
+        return augment_moments(batch, strength, distractors=self.config.distractors, generator=generator)
 
     def _mirror(self, batch: PlaceDataset, state: State) -> PlaceDataset:
         """Returns the batch with half of the moments mirrored, where that shows possible scenes."""
@@ -194,16 +159,16 @@ class CriterionLearner(Learner[CriterionNetwork]):
 def init_from_grounding(network: CriterionNetwork, grounding: GradCamModel) -> None:
     """Copies the grounding model's text encoder and convolutions, and lets phrases have the heat of Grad-CAM.
 
-    A phrase's heat is relative to the mean of the names that the grounding model knows. Convolutions of another width
-    begin at random. Batch normalisation keeps its statistics: the network stays in evaluation mode.
+    A phrase's heat is relative to the mean of the names that the grounding model knows. Batch normalisation keeps the
+    statistics of the grounding model: the network stays in evaluation mode.
     """
     theirs = grounding.network
     network.text.load_state_dict(theirs.text.state_dict())
-    if network.spec.width == theirs.spec.width and network.spec.depth == theirs.spec.depth:
-        for name in ("stem", "layer1", "layer2"):
-            getattr(network.image, name).load_state_dict(getattr(theirs.image, name).state_dict())
-        pool = theirs.image.attention_pool
-        network.cells.weight.copy_(pool.out.weight @ pool.value.weight)
+    ours, pool = network.image, theirs.image.attention_pool
+    for module, source in ((ours.stem, theirs.image.stem), (ours.layer1, theirs.image.layer1)):
+        module.load_state_dict(source.state_dict())
+    ours.layer2.load_state_dict(theirs.image.layer2.state_dict())
+    network.cells.weight.copy_(pool.out.weight @ pool.value.weight)
     names = [f"a {name} thing" for name in grounding.names] or list(network.spec.phrases)
     network.locator.contrast.copy_(network.embed_phrases(names).mean(dim=0))
     network.locator.log_scale.copy_(torch.tensor(INITIAL_LOGIT / theirs.spec.presence_heat).log())

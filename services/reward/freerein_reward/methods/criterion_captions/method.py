@@ -102,7 +102,7 @@ def network_spec(grounding: GradCamModel, config: CriterionConfig, layout: ViewL
         vocabulary=theirs.vocabulary,
         units=units,
         image_size=theirs.image_size,
-        width=config.width,
+        width=theirs.width,
         depth=theirs.depth,
         text_width=theirs.text_width,
         text_depth=theirs.text_depth,
@@ -127,7 +127,7 @@ def _card(source: FitDataset, learner: CriterionLearner, fitted: FitResult[Crite
 def criterion_warnings(network: CriterionNetwork, figures: dict[str, float]) -> list[str]:
     """Returns a warning for each criterion that validation images never decide, or that was not learned."""
     warnings = []
-    for criterion in network.grammar.criteria:
+    for criterion in (each for each in network.grammar.criteria if each.nouns <= len(network.spec.phrases)):
         accuracy = figures.get(f"{criterion.name}.balanced_accuracy")
         if accuracy is None:
             warnings.append(
