@@ -75,8 +75,7 @@ class CriterionGrammar(Grammar):
     """
 
     def __init__(self, phrases: Sequence[str], views: Iterable[View], other_phrases: Sequence[str] = ()) -> None:
-        vocabulary = (AND, *(word for key in _READINGS for word in key))
-        super().__init__((*phrases, *other_phrases), vocabulary)
+        super().__init__((*phrases, *other_phrases), _VOCABULARY)
         self._phrases = {**self._phrases, **names_of(phrases)}
         self.views = tuple(views)
         self.criteria = tuple(each for each in CRITERIA.values() if each.view in self.views)
@@ -179,6 +178,7 @@ _TAILS: tuple[tuple[Words, ...], ...] = (((),), ((AND,), ()))
 
 _READINGS = _grouped(_all_readings())
 _LONGEST = max(map(len, _READINGS))
+_VOCABULARY = tuple(sorted({AND, *(word for key in _READINGS for word in key)}))
 _BINARY = {
     _parts(each)[0]: criterion for criterion in CRITERIA.values() if criterion.nouns == 2 for each in criterion.wordings
 }

@@ -40,6 +40,16 @@ def sampled_tuples(count: int, rng: np.random.Generator) -> npt.NDArray[np.int64
     return np.concatenate([each[np.sort(rng.permutation(len(each))[:_MOST])] for each in kinds])
 
 
+def possible_captions(tuples: npt.NDArray[np.int64], views: Iterable[View]) -> npt.NDArray[np.bool_]:
+    """Returns which statements captions of tuples, int64 (T, `MAX_NOUNS`), can make, bool (T, statements)."""
+    sizes, seen = np.where(tuples[:, -1] == NO_NOUN, MAX_NOUNS - 1, MAX_NOUNS), set(views)
+    possible = [
+        sizes == CRITERIA[name].nouns if name and CRITERIA[name].view in seen else np.full(len(tuples), not name)
+        for _, name in STATEMENTS
+    ]
+    return np.stack(possible, axis=1)
+
+
 def label_captions(
     places: npt.NDArray[np.floating],
     shown: Labels,

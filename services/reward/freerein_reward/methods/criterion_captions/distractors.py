@@ -11,11 +11,11 @@ _MOST, _SHARE = 3, 0.7
 _LEAST_SIDE, _MOST_SIDE = 0.05, 0.25
 """Most distractors in a frame, the share of frames that have each, and their sides, as shares of the frame's."""
 
-_OWN_COLOUR = 0.7
-"""Share of the round ones that have the colour of an object. Square ones do not: they might be taken for a block."""
+_ROUND, _OWN_COLOUR = 0.7, 0.7
+"""Share of round ones, and the share of those that has the colour of an object. Square ones with it might be blocks."""
 
 _OWN_SIZE, _ABOUT = 0.5, (0.7, 1.5)
-"""Share of the distractors that are about as large as an object, and their sides as shares of the object's."""
+"""Share of the round ones that are about as large as an object, and their sides as shares of the object's."""
 
 _LIGHT_AT, _DARKENING = 0.5, 0.4
 """Largest distance of the brightest point of a shaded one from its middle, and its loss of brightness one away from
@@ -39,9 +39,9 @@ def add_distractors(
     palette = colours_at(frames, places, is_kept)
     across, down = (torch.arange(width) + 0.5) / width, (torch.arange(height) + 0.5) / height
     for _ in range(_MOST):
-        sides = _sides(count, 2 * clearance, generator)
         centres, bright = torch.rand((2, count, 2), generator=generator)
         is_round, is_own, is_shaded, is_wanted = _coins(count, strength, generator)
+        sides = _sides(is_round, 2 * clearance, generator)
         covers = ((places - centres[:, None]).abs() < (sides / 2)[:, None] + clearance).all(dim=2) & is_kept
         is_there = is_wanted & ~covers.any(dim=1)
         colours = _colours(count, palette, is_round & is_own, generator)
@@ -66,18 +66,22 @@ def colours_at(frames: Tensor, places: Tensor, is_kept: Tensor) -> Tensor:
     return frames[numbers[is_kept], rows[is_kept], columns[is_kept]].float()
 
 
-def _sides(count: int, own: Tensor, generator: torch.Generator) -> Tensor:
+def _sides(is_round: Tensor, own: Tensor, generator: torch.Generator) -> Tensor:
     """Returns width and height of distractors as fractions, float (N, 2); `own`, (2,), are those of an object."""
+    count = len(is_round)
     anything = _LEAST_SIDE + (_MOST_SIDE - _LEAST_SIDE) * torch.rand((count, 2), generator=generator)
     least, most = _ABOUT
     about = own * (least + (most - least) * torch.rand((count, 1), generator=generator))
-    return torch.where(torch.rand((count, 1), generator=generator) < _OWN_SIZE, about, anything)
+    is_about = is_round & (torch.rand(count, generator=generator) < _OWN_SIZE)
+    return torch.where(is_about[:, None], about, anything)
 
 
 def _coins(count: int, strength: float, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Returns whether each distractor is round, of an object's colour, shaded, and wanted: bool (N,) each."""
     drawn = torch.rand((4, count), generator=generator)
-    is_round, is_own, is_shaded, is_wanted = drawn < torch.tensor([0.5, _OWN_COLOUR, 0.5, strength * _SHARE])[:, None]
+    is_round, is_own, is_shaded, is_wanted = (
+        drawn < torch.tensor([_ROUND, _OWN_COLOUR, 0.5, strength * _SHARE])[:, None]
+    )
     return is_round, is_own, is_shaded, is_wanted
 
 

@@ -1,16 +1,18 @@
 """The learner of a model of criteria (section 4.2), on places and captions of the grounding model.
 
-Four losses:
+Five losses:
 
 - of places: the cross-entropy of the cell where the grounding model found a phrase, or of nowhere. This is the
   distillation from the old model that section 4.2 speaks of.
 - of captions: for each image and each caption whether it holds, sigmoid by sigmoid (Zhai et al., "Sigmoid loss for
   language image pre-training", 2023). Several captions hold of an image; those that are not sure are left out.
+- of places of all names that the grounding model knows, in other colours: see `recoloured_moments`.
 - of captions of imagined places, of which there are as many as one likes: see `imagined_places`.
 - from the first augmented step on, for other views of the same moments: of places, which move with the frame, and of
   captions, which are to be scored as on the frames as they are.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +21,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from freerein.goal_text import words
 from freerein.learning import weights
 from freerein.learning.augmentation import agreement, delayed
 from freerein.learning.in_distribution import KNOWN_FRAMES
@@ -31,6 +34,7 @@ from freerein_reward.methods.criterion_captions.captions import (
     TRUE,
     UNSURE,
     phrase_tuples,
+    possible_captions,
     sampled_tuples,
 )
 from freerein_reward.methods.criterion_captions.config import CriterionConfig
@@ -39,12 +43,16 @@ from freerein_reward.methods.criterion_captions.imagined_places import imagine_p
 from freerein_reward.methods.criterion_captions.locator import INITIAL_LOGIT, Located, target_distribution
 from freerein_reward.methods.criterion_captions.network import MAX_NOUNS, CriterionNetwork
 from freerein_reward.methods.criterion_captions.place_dataset import PlaceDataset
+from freerein_reward.methods.criterion_captions.recoloured_moments import recolour_moments
 from freerein_reward.methods.criterion_captions.spec import CriterionSpec
 from freerein_reward.model import GradCamModel
 
 State = TrainState[CriterionNetwork]
 
 _MOMENTS_AT_ONCE = 64
+_RECOLOURED = 4
+"""One moment in so many is seen in other colours, too."""
+
 _IMAGINED = 256
 """Scenes of imagined places per optimiser step."""
 
@@ -92,15 +100,18 @@ class CriterionLearner(Learner[CriterionNetwork]):
         scores = caption_scores(state.network, located, chosen)
         captions = caption_loss(scores, self._labels(batch, chosen)) + self._imagined_loss(state)
         places = place_loss(located, batch)
-        losses = {"captions": captions, "places": places}
         strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
+        names = self._name_loss(state, batch.subset(np.arange(max(1, len(batch) // _RECOLOURED))), strength)
+        losses = {"captions": captions, "places": places, "names": names}
         augmented = captions.new_zeros(())
         if strength:
             seen = self._augment(batch, strength, state.generator)
             relocated = locate_all(state.network, stacked(seen), self.device)
             rescored = caption_scores(state.network, relocated, chosen)
-            augmented = place_loss(relocated, seen) + agreement(_binary(rescored), _binary(scores))
-        return {"train_loss": captions + places + augmented, **losses, "augmented": augmented}
+            said = torch.from_numpy(possible_captions(chosen, batch.layout.views)).to(self.device)
+            agreed = agreement(_binary(rescored[:, said]), _binary(scores[:, said]))
+            augmented = place_loss(relocated, seen) + agreed
+        return {"train_loss": captions + places + names + augmented, **losses, "augmented": augmented}
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:
@@ -132,6 +143,18 @@ class CriterionLearner(Learner[CriterionNetwork]):
             trajectories=self.held_out_trajectories or len(self.validation),
             augmented=self.config.augmentation > 0,
         )
+
+    def _name_loss(self, state: State, batch: PlaceDataset, strength: float) -> Tensor:
+        """Returns the loss of the places of all names that the grounding model knows, in moments of other colours."""
+        names = [f"a {name} thing" for name in self.grounding.names]
+        if not names:
+            return torch.zeros((), device=self.device)
+        least, generator = self.config.min_presence, state.generator
+        turned = recolour_moments(batch, self.grounding, names, least=least, generator=generator)
+        turned = self._augment(turned, strength, generator)
+        noun = words(self.spec.phrases[state.step % len(self.spec.phrases)])[-1]
+        phrases = [f"a {name} {noun}" for name in self.grounding.names]
+        return place_loss(locate_all(state.network, stacked(turned), self.device, phrases), turned)
 
     def _imagined_loss(self, state: State) -> Tensor:
         """Returns the loss of captions of imagined places."""
@@ -185,11 +208,11 @@ def stacked(dataset: PlaceDataset) -> Tensor:
     return torch.from_numpy(np.stack(dataset.frames, axis=1))
 
 
-def locate_all(network: CriterionNetwork, views: Tensor, device: torch.device) -> Located:
-    """Returns where the phrases of the fit are in views, uint8 (N, V, H, W, 3)."""
-    phrases = network.embed_phrases(network.spec.phrases)
+def locate_all(network: CriterionNetwork, views: Tensor, device: torch.device, phrases: Sequence[str] = ()) -> Located:
+    """Returns where phrases, by default those of the fit, are in views, uint8 (N, V, H, W, 3)."""
+    embedded = network.embed_phrases(phrases or network.spec.phrases)
     parts = [
-        network.locate(network.embed_cells(part.to(device)), phrases) for part in torch.split(views, _MOMENTS_AT_ONCE)
+        network.locate(network.embed_cells(part.to(device)), embedded) for part in torch.split(views, _MOMENTS_AT_ONCE)
     ]
     return Located(*(torch.cat(each) for each in zip(*parts, strict=True)))
 
