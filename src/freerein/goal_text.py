@@ -15,7 +15,7 @@ from itertools import permutations, product
 from types import MappingProxyType
 
 from freerein.errors import InvalidInput
-from freerein.nearest_statement import NEGATIONS, QUANTITIES, NearestStatement
+from freerein.nearest_statement import LOOSELY, NEGATIONS, QUANTITIES, NearestStatement
 from freerein.relations import MISSING, SpatialRelation, absence_caption, caption
 
 Words = tuple[str, ...]
@@ -127,10 +127,11 @@ class GoalText:
     Attributes:
         text: What the model is given: the statement's caption, or the text itself.
         rivals: What it says with each other relation; empty without a relation.
-        statement: What it states; None where it cannot be read.
+        statement: The relation that it states; None where it states none, as by a grammar of criteria.
         unknown: Words that the model does not know, distinct and in order, at most `MAX_UNKNOWN` of at most
             `MAX_UNKNOWN_CHARACTERS` characters each. Empty for a statement.
         did_you_mean: The caption of the nearest statement; empty where none is near, and for a statement.
+        problem: Why a model cannot be asked this text, a sentence; empty where it can.
     """
 
     text: str
@@ -138,6 +139,7 @@ class GoalText:
     statement: Statement | None
     unknown: Words
     did_you_mean: str = ""
+    problem: str = ""
 
 
 class Grammar:
@@ -148,7 +150,7 @@ class Grammar:
     """
 
     def __init__(self, phrases: Sequence[str], vocabulary: Sequence[str]) -> None:
-        self._phrases = _names_of(phrases)
+        self._phrases = names_of(phrases)
         self._longest = max(map(len, self._phrases), default=0)
         pairs = permutations(phrases, 2)
         self._absences = {words(each): each for each in (absence_caption(first, second) for first, second in pairs)}
@@ -157,7 +159,7 @@ class Grammar:
         unread = _UNREAD.difference(*self._phrases) if phrases else frozenset[str]()
         self._known = trained.union(_GRAMMAR_WORDS, *self._phrases, _REQUEST_WORDS if phrases else ()) - unread
         self._embedded = trained - unread if phrases else self._known
-        self._nearest = NearestStatement(self._phrases, _WORDINGS)
+        self._nearest = NearestStatement(self._phrases, _WORDINGS, LOOSELY)
 
     def read(self, text: str) -> GoalText:
         """Returns what a text says, in linear time.
@@ -171,19 +173,23 @@ class Grammar:
             return GoalText(statement.caption, statement.rivals, statement, ())
         if absence := self._absences.get(said):
             return GoalText(absence, (), None, ())
-        strange = _outside(said, self._known)
-        unknown = strange or _outside(said, self._embedded)
+        strange = words_outside(said, self._known)
+        unknown = strange or words_outside(said, self._embedded)
         rivals = _rivals(said) if unknown or not self._phrases else ()
         nearest = self._nearest.find(said, strange)
         return GoalText(text, rivals, None, unknown, caption(*nearest) if nearest else "")
 
+    @property
+    def states_goals(self) -> bool:
+        """Whether the model has noun phrases, so that texts can state something; a grounding model has none."""
+        return bool(self._phrases)
+
     def unknown_words(self, phrases: Iterable[str]) -> Words:
         """Returns the words of noun phrases that neither the grammar nor the model knows, as `GoalText.unknown`."""
-        return _outside((word for phrase in phrases for word in words(phrase)), self._known)
+        return words_outside((word for phrase in phrases for word in words(phrase)), self._known)
 
     def _statement(self, said: Words) -> Statement | None:
-        said = self._arranged(asked(said))
-        said = said[1:] if said[:1] and said[0] in VERBS else said
+        said = self.wished(said)
         sizes = range(1, min(len(said), 1 + self._longest) + 1)
         firsts = [(size, found) for size in sizes if (found := self._phrase(said[:size]))]
         seconds = [(size, found) for size in sizes if (found := self._phrase(said[-size:]))]
@@ -193,6 +199,11 @@ class Grammar:
             if first != second and (relation := _RELATIONS.get(said[before : len(said) - after])) is not None
         }
         return read.pop() if len(read) == 1 else None
+
+    def wished(self, said: Words) -> Words:
+        """Returns the words of a sentence without those that only ask for it, and without its verb."""
+        said = self._arranged(asked(said))
+        return said[1:] if said[:1] and said[0] in VERBS else said
 
     def _arranged(self, said: Words) -> Words:
         """Returns what is to hold after `arrange the blocks so that`."""
@@ -284,7 +295,7 @@ def _is_noun_phrase(said: Words) -> bool:
     return 0 < len(bare) <= _LONGEST_PHRASE and bare[0] not in ARTICLES and not _NO_NOUNS.intersection(bare)
 
 
-def _names_of(phrases: Sequence[str]) -> dict[Words, str]:
+def names_of(phrases: Sequence[str]) -> dict[Words, str]:
     """Returns what names exactly one of the phrases; their own words come before synonyms, these before the rest."""
     named: dict[Words, set[str]] = {}
     for variants in (_own, _synonymous, _generic):
@@ -312,7 +323,8 @@ def _generic(phrase: Words) -> Iterator[Words]:
         yield from ((*phrase[:-1], noun) for noun in GENERIC_NOUNS)
 
 
-def _outside(said: Iterable[str], known: frozenset[str]) -> Words:
+def words_outside(said: Iterable[str], known: frozenset[str]) -> Words:
+    """Returns the words that are not known, as `GoalText.unknown`."""
     cut = (word[:MAX_UNKNOWN_CHARACTERS] for word in said if word not in known)
     return tuple(dict.fromkeys(cut))[:MAX_UNKNOWN]
 

@@ -7,11 +7,12 @@ into another one, such as `not` and `two`, are never left out.
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise, product, takewhile
 from types import MappingProxyType
+from typing import Generic, TypeVar
 
 from freerein.relations import SpatialRelation
 
 Words = tuple[str, ...]
-Stated = tuple[str, SpatialRelation, str]
+R = TypeVar("R")
 
 NEGATIONS = (
     *("not", "no", "never", "don", "t", "without", "except", "neither", "nor", "none", "nothing", "nowhere", "nobody"),
@@ -57,22 +58,23 @@ _LOOSE: Mapping[SpatialRelation, tuple[str, ...]] = MappingProxyType(
 )
 
 
-class NearestStatement:
-    """Finds the statement of names that is nearest to a text.
+class NearestStatement(Generic[R]):
+    """Finds the statement of names that is nearest to a text; R are the relations.
 
     Args:
         names: The phrase that each name stands for.
         relations: The relation that each wording says.
+        loosely: The relation that each wording nearly says, as `LOOSELY`.
     """
 
-    def __init__(self, names: Mapping[Words, str], relations: Mapping[Words, SpatialRelation]) -> None:
+    def __init__(self, names: Mapping[Words, str], relations: Mapping[Words, R], loosely: Mapping[Words, R]) -> None:
         self._names, self._definite = names, relations
-        self._relations = {**_LOOSELY, **relations}
+        self._relations = {**loosely, **relations}
         self._mentions = frozenset((*names, *self._relations, *map(_split, _IGNORED)))
         self._longest = max(map(len, self._mentions))
         self._spellings = frozenset(word for mention in self._mentions for word in mention)
 
-    def find(self, said: Words, unknown: Iterable[str]) -> Stated | None:
+    def find(self, said: Words, unknown: Iterable[str]) -> tuple[str, R, str] | None:
         """Returns the statement nearest to words; None where none is near.
 
         It is that of the words as they are or, where they make none, with the unknown ones for typos.
@@ -83,7 +85,7 @@ class NearestStatement:
         spelled = tuple(each for word in said for each in meant.get(word, (word,)))
         return self._find(said) or self._find(spelled)
 
-    def _find(self, said: Words) -> Stated | None:
+    def _find(self, said: Words) -> tuple[str, R, str] | None:
         parts = list(self._parts(said))
         rest = {word for part in parts if part not in self._mentions for word in part}
         if any(map(_means_another, rest)):
@@ -99,7 +101,7 @@ class NearestStatement:
             yield said[place : place + size]
             place += size
 
-    def _stated(self, parts: list[Words], *, is_possessed: bool) -> Stated | None:
+    def _stated(self, parts: list[Words], *, is_possessed: bool) -> tuple[str, R, str] | None:
         """Returns what two names and one relation state; None for other numbers of them.
 
         They are `A on B`, `on B is A`, `B with A on it`, `A and B apart`, `B's left is A` or `A at B's left`.
@@ -162,5 +164,9 @@ def _split(text: str) -> Words:
 
 
 _MEANS_ANOTHER = frozenset((*NEGATIONS, *QUANTITIES, *_CHANGES))
-_LOOSELY = {_split(wording): relation for relation, wordings in _LOOSE.items() for wording in wordings}
+LOOSELY: Mapping[Words, SpatialRelation] = MappingProxyType(
+    {_split(wording): relation for relation, wordings in _LOOSE.items() for wording in wordings}
+)
+"""Wordings that no grammar reads, with the relation that they may mean."""
+
 _MUTUAL = frozenset(map(_split, (*_BESIDE, *_LOOSE[SpatialRelation.APART_FROM], "apart from", "far from", "away from")))

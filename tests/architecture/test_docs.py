@@ -38,6 +38,7 @@ WORDS: dict[object, str] = {
     SecretStr: "text",
     dict[str, Any]: "an object",
     tuple[str, ...]: "a list of texts",
+    tuple[float, ...]: "a list of numbers",
     tuple[dict[str, Any], ...]: "a list of objects",
 }
 

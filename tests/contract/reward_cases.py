@@ -40,6 +40,9 @@ class Bright(_MeanPixel):
         vectors = np.stack([np.cos(angles), np.sin(angles)], axis=1).astype(np.float32)
         return ImageEmbeddings(vectors, brightness.astype(np.float32))
 
+    def similarities(self, images: npt.NDArray[np.float32], texts: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        return (images @ texts.T).clip(-1, 1)
+
     def in_distribution(
         self, distances: npt.NDArray[np.float32], _similarities: npt.NDArray[np.float32]
     ) -> npt.NDArray[np.float32]:

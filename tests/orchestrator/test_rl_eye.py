@@ -1,5 +1,6 @@
 """The eye of a policy: it locates a body that it moved by random actions, what that carried, and the goal's objects."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,11 @@ import pytest
 import torch
 
 from freerein.errors import InvalidInput
+from freerein.learning import tensor_files
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
 from freerein.learning.actor_critic.eye import GoalEye, _robust_regression
 from freerein.learning.augmentation import add_distractors
+from freerein.learning.model_files import MODEL
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
 from freerein_orchestrator.rl.goal_eye import load_object_encoder
@@ -161,3 +164,12 @@ def test_a_grounding_model_is_no_encoder_of_objects() -> None:
     folder = store.folder(ModelRef("grounding", store.active_version("grounding")))
     with pytest.raises(InvalidInput):
         load_object_encoder(folder, goal_caption=CAPTION, camera=CAMERA)
+
+
+def test_a_reward_model_without_keypoints_of_its_own_is_no_encoder_of_objects(folder: Path, tmp_path: Path) -> None:
+    copied = Path(shutil.copytree(folder, tmp_path / "criteria"))
+    weights = tensor_files.parse((copied / MODEL.weights).read_bytes())
+    of_criteria = {name: each for name, each in weights.items() if not name.startswith("image.pool.")}
+    (copied / MODEL.weights).write_bytes(tensor_files.dump(of_criteria))
+    with pytest.raises(InvalidInput, match="`relation_captions`"):
+        load_object_encoder(copied, goal_caption=CAPTION, camera=CAMERA)

@@ -44,6 +44,9 @@ class Colours:
         vectors = np.float32(colours / np.linalg.norm(colours, axis=1, keepdims=True))
         return ImageEmbeddings(vectors, np.arange(len(vectors), dtype=np.float32))
 
+    def similarities(self, images: npt.NDArray[np.float32], texts: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        return (images @ texts.T).clip(-1, 1)
+
     def in_distribution(
         self, distances: npt.NDArray[np.float32], similarities: npt.NDArray[np.float32]
     ) -> npt.NDArray[np.float32]:

@@ -30,6 +30,9 @@ class Lengths:
     def embed_images(self, _views: object) -> ImageEmbeddings:
         raise NotImplementedError
 
+    def similarities(self, images: npt.NDArray[np.float32], texts: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        return (images @ texts.T).clip(-1, 1)
+
     def in_distribution(self, _distances: object, _similarities: object) -> npt.NDArray[np.float32]:
         raise NotImplementedError
 

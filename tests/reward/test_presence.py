@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from freerein_reward.methods.relation_captions.presence import alone_in_place, presence_in_dataset
+from freerein_reward.methods.shared.presence import alone_in_place, presence_in_dataset
 
 
 def test_each_phrase_is_judged_by_the_two_groups_that_its_heat_forms() -> None:

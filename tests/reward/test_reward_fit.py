@@ -15,9 +15,10 @@ from freerein.model_store import ModelStore
 from freerein.relations import SpatialRelation
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_reward.methods import METHODS, load
-from freerein_reward.methods.relation_captions.caption_checks import accuracy_warnings, caption_warnings, check_shown
+from freerein_reward.methods.relation_captions.caption_checks import accuracy_warnings, caption_warnings
 from freerein_reward.methods.relation_captions.caption_dataset import CaptionDataset, caption_images
 from freerein_reward.methods.relation_captions.config import RewardConfig
+from freerein_reward.methods.shared.phrases import check_shown
 from freerein_reward.model import DualEncoderModel, GradCamModel, PhraseLocations, load_grounding
 from freerein_reward.model.phrase_relations import NO_CAPTION
 

@@ -93,7 +93,7 @@ def _warm(loaded: RewardModel | GroundingModel) -> RewardModel | GroundingModel:
     image = loaded.preprocess(np.zeros((1, 1, 3), np.uint8))[None]
     if isinstance(loaded, GroundingModel):
         loaded.locate(image, ("a thing",))
-    else:
+    if isinstance(loaded, RewardModel):
         loaded.embed_images(dict.fromkeys(loaded.cameras, image))
         loaded.embed_texts(("a thing",))
     return loaded

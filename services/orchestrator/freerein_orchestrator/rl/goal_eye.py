@@ -21,6 +21,9 @@ from freerein_orchestrator.rl.initial_network import random_actions
 from freerein_orchestrator.rl.vec_env import VecEnv, env_actions, observation_tensor
 
 _PREFIX = "image."
+_KEYPOINTS = "pool.heat.weight"
+"""Weights that find a keypoint for each phrase; a model of criteria has none."""
+
 _EXPLORATION_STEPS, _EXPLORATION_RANGE = 8, 0.5
 _HINT = "Choose a reward model that was fitted to frames of this camera, or the encoder `spatial`."
 
@@ -68,6 +71,12 @@ def load_object_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> O
     image = parse(ClipImageSpec, {"phrases": len(phrases), **sizes})
     tensors = tensor_files.parse((folder / model_files.MODEL.weights).read_bytes())
     weights = {name.removeprefix(_PREFIX): each for name, each in tensors.items() if name.startswith(_PREFIX)}
+    if _KEYPOINTS not in weights:
+        raise InvalidInput(
+            "An eye needs a reward model of the method `relation_captions`; this one is of another.",
+            field="config.reward_model",
+            hint="Choose another reward model for the encoder, or the encoder `spatial`.",
+        )
     return ObjectEncoder(EyeSpec(image, first, second), weights)
 
 

@@ -49,7 +49,7 @@ class GroundingCore:
         """Returns the location of each phrase in an image.
 
         Raises:
-            InvalidInput: A phrase or the image is invalid, or the model is a reward model.
+            InvalidInput: A phrase or the image is invalid, or the model locates nothing.
             UnsupportedMedia: The image is not in the declared encoding.
             OutputNotFinite: The model overflowed.
             NotFound, FailedPrecondition: There is no such model, or no active one.

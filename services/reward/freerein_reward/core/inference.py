@@ -95,7 +95,7 @@ def _scores(
     if not (np.isfinite(frames.vectors).all() and np.isfinite(frames.distances).all()):
         return _overflowed("frames", "Send frames like the training data.")
     texts = np.stack([goal.vector for goal in goals])  # (K, D)
-    similarities = np.clip(frames.vectors.astype(np.float32) @ texts.T, -1.0, 1.0)
+    similarities = model.similarities(frames.vectors.astype(np.float32), texts)  # (N, K)
     return Scores(goals, similarities, model.in_distribution(frames.distances, similarities))
 
 

@@ -14,7 +14,7 @@ from freerein_reward.model import ImageEmbeddings, PhraseLocations
 
 @runtime_checkable
 class RewardModel(Protocol):
-    """A trained reward model: embeds images and texts in one space.
+    """A trained reward model: embeds images and texts, and compares them.
 
     Attributes:
         cameras: Cameras that it expects; one empty name for any image.
@@ -31,10 +31,10 @@ class RewardModel(Protocol):
         """Returns what the model keeps of frames by camera, uint8 (N, H, W, 3)."""
 
     def embed_texts(self, texts: Sequence[str]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-        """Returns embeddings, float32 (K, D), and whether each text was truncated, bool (K,).
+        """Returns embeddings, float32 (K, D), and whether each text was truncated, bool (K,)."""
 
-        Their products with embeddings of images are similarities in [-1, 1].
-        """
+    def similarities(self, images: npt.NDArray[np.float32], texts: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Returns similarities in [-1, 1], float32 (N, K), of vectors of `ImageEmbeddings`, and of K texts."""
 
     def in_distribution(
         self, distances: npt.NDArray[np.float32], similarities: npt.NDArray[np.float32]
@@ -49,7 +49,7 @@ class RewardModel(Protocol):
 
 @runtime_checkable
 class GroundingModel(Protocol):
-    """A trained grounding model: locates noun phrases in images.
+    """A trained model that locates noun phrases in images; it may be a reward model, too.
 
     Attributes:
         grammar: Knows the words that the model was trained on.

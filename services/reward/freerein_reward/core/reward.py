@@ -76,12 +76,13 @@ class RewardCore:
     async def embed_goal(self, request: EmbedGoalRequest) -> EmbedGoalResponse:
         """Returns the embedding of a goal text, read by the model's grammar.
 
-        Raises InvalidInput when the text has no words or is too long; otherwise as `reward`.
+        Raises InvalidInput when the text has no words, is too long, or states nothing that the model tells; otherwise
+        as `reward`.
         """
         timer = CallTimer()
         check_goal_text(request.goal_text)
         ref, model = await self._resolve(request.model, allow_grounding=False)
-        goal = model.grammar.read(request.goal_text)
+        goal = _read(request.goal_text, model.grammar, field="goal_text")
         found = self.goals.find(ref, goal.text)
         if found is None:
             (found,) = timer.output(await self.batcher.submit(ScoreItem(ref, model, (goal.text,)), key=ref)).goals
@@ -97,7 +98,7 @@ class RewardCore:
     async def _resolve(self, ref: ModelRef, *, allow_grounding: bool) -> tuple[ModelRef, RewardModel]:
         """Returns a reward model; a grounding model's raw similarities are the base reward of section 4.2."""
         ref, model = await self.models.resolve(ref)
-        if not isinstance(model, RewardModel) or (isinstance(model, GroundingModel) and not allow_grounding):
+        if not isinstance(model, RewardModel) or not (model.grammar.states_goals or allow_grounding):
             raise wrong_kind(ref, got="grounding", expected="reward")
         return ref, model
 
@@ -106,9 +107,21 @@ def _decode(
     request: RewardRequest, model: RewardModel
 ) -> tuple[GoalText, tuple[str, ...], Mapping[str, FrameSequence]]:
     """Returns the goal text, all texts to compare, and the frames by camera."""
-    goal = model.grammar.read(request.goal_text)
+    goal = _read(request.goal_text, model.grammar, field="goal_text")
     texts = (goal.text, *_rivals(request, goal, model.grammar))
     return goal, texts, request_frames(request, model.cameras)
+
+
+def _read(text: str, grammar: Grammar, *, field: str) -> GoalText:
+    """Returns what a text says; raises InvalidInput for one that the model cannot be asked."""
+    said = grammar.read(text)
+    if said.problem:
+        raise InvalidInput(
+            f"`{field}` must state what the model tells. {said.problem}",
+            field=field,
+            hint=ask_back(said.did_you_mean, "Relate different things, such as: a red block on top of a blue block."),
+        )
+    return said
 
 
 def _views(
@@ -120,7 +133,8 @@ def _views(
 
 
 def _rivals(request: RewardRequest, goal: GoalText, grammar: Grammar) -> tuple[str, ...]:
-    rivals = tuple(grammar.read(rival).text for rival in request.rivals)
+    read = (_read(each, grammar, field=f"rivals.{index}") for index, each in enumerate(request.rivals))
+    rivals = tuple(each.text for each in read)
     check_distinct(rivals, goal.text)
     if not rivals and not goal.rivals and request.mode == "binary":
         raise _no_rivals(goal)

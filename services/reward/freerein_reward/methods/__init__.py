@@ -7,15 +7,17 @@ from pathlib import Path
 from types import MappingProxyType
 
 from freerein.learning.methods import Methods
-from freerein_reward.methods import relation_captions
+from freerein_reward.methods import criterion_captions, relation_captions
+from freerein_reward.methods.criterion_captions.criterion_model import CriterionModel
 from freerein_reward.model import DualEncoderModel, is_grounding, load_grounding
 
-METHODS: Methods[DualEncoderModel] = Methods(
-    "reward", MappingProxyType({"relation_captions": relation_captions.METHOD})
+METHODS: Methods[DualEncoderModel | CriterionModel] = Methods(
+    "reward",
+    MappingProxyType({"relation_captions": relation_captions.METHOD, "criterion_captions": criterion_captions.METHOD}),
 )
 
 
-def load(folder: Path, device: str) -> DualEncoderModel:
+def load(folder: Path, device: str) -> DualEncoderModel | CriterionModel:
     """Returns the model in a folder, by the method that its card names: the grounding model, or one that was fitted.
 
     Raises:

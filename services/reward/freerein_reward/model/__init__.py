@@ -1,6 +1,7 @@
 """The dual encoder: image encoder, text encoder, tokenizer, inference, loading."""
 
 from freerein_reward.model.dual_encoder import DualEncoder as DualEncoder
+from freerein_reward.model.dual_encoder import Temperature as Temperature
 from freerein_reward.model.dual_encoder import channels_last as channels_last
 from freerein_reward.model.dual_encoder_model import DualEncoderModel as DualEncoderModel
 from freerein_reward.model.dual_encoder_model import ImageEmbeddings as ImageEmbeddings
@@ -8,6 +9,7 @@ from freerein_reward.model.dual_encoder_model import preprocess as preprocess
 from freerein_reward.model.grounding import GradCamModel as GradCamModel
 from freerein_reward.model.grounding import PhraseLocations as PhraseLocations
 from freerein_reward.model.grounding import contrast_texts as contrast_texts
+from freerein_reward.model.grounding import heat_of_presence as heat_of_presence
 from freerein_reward.model.known_phrases import KNOWN as KNOWN
 from freerein_reward.model.known_phrases import NONSENSE as NONSENSE
 from freerein_reward.model.known_phrases import REFERENCES as REFERENCES
@@ -17,3 +19,5 @@ from freerein_reward.model.loading import is_grounding as is_grounding
 from freerein_reward.model.loading import load_grounding as load_grounding
 from freerein_reward.model.loading import load_reward_model as load_reward_model
 from freerein_reward.model.spec import DualEncoderSpec as DualEncoderSpec
+from freerein_reward.model.text_encoder import ClipTextEncoder as ClipTextEncoder
+from freerein_reward.model.tokenizer import Tokenizer as Tokenizer

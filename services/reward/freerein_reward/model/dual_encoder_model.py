@@ -73,6 +73,10 @@ class DualEncoderModel:
         embeddings = self.network.embed_texts(torch.from_numpy(tokens.ids).to(self.network.device))
         return embeddings.cpu().numpy(), tokens.truncated
 
+    def similarities(self, images: npt.NDArray[np.float32], texts: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Returns the products of embeddings of images (N, D) and texts (K, D), float32 (N, K) in [-1, 1]."""
+        return (images @ texts.T).clip(-1.0, 1.0)
+
 
 def preprocess(image: npt.NDArray[np.uint8], *, size: int) -> npt.NDArray[np.uint8]:
     """Returns an image uint8 (h, w, 1 or 3) as RGB uint8 (size, size, 3), resized with antialiasing as in CLIP."""

@@ -25,6 +25,7 @@ from freerein_reward.model.known_phrases import KNOWN
 
 _IMAGES_AT_ONCE = 64
 _STEEPNESS = 5.0
+_LEAST_ODDS = 1e-6
 _PEAK_RADIUS = 0.1
 """Half-width of the window around a peak, as a fraction of the image."""
 
@@ -56,6 +57,13 @@ class PhraseLocations:
         """Probability that the image shows the phrase, float64 (N, P) in [0, 1]; 0 for an unknown phrase."""
         probability = 1 / (1 + np.exp(-_STEEPNESS * (self.heat - 1.0)))
         return np.where(self.known >= KNOWN, probability, 0.0)
+
+
+def heat_of_presence(presence: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Returns the heat of `PhraseLocations` whose presence is given, of any shape."""
+    odds = presence.clip(_LEAST_ODDS, 1 - _LEAST_ODDS)
+    heat: npt.NDArray[np.float64] = 1.0 + np.log(odds / (1 - odds)) / _STEEPNESS
+    return heat
 
 
 class GradCamModel(DualEncoderModel):

@@ -40,31 +40,38 @@ class ClipImageSpec:
     embedding_dim: int = bounded(64, least=4, most=1024)
 
 
-class ClipImageEncoder(nn.Module):
-    """Embeds images. The feature map has 8 times as many channels as the stem, and a quarter of the resolution."""
+class ClipFeatureMaps(nn.Module):
+    """The convolutions. The feature map has `channels`, and a quarter of the image's resolution."""
 
-    def __init__(self, spec: ClipImageSpec) -> None:
+    def __init__(self, width: int, depth: int) -> None:
         super().__init__()
-        width, channels = spec.width, 2 * _EXPANSION * spec.width
+        self.channels = 2 * _EXPANSION * width
         self.stem = _stem(width)
-        self.layer1 = _stage(2 * width, width, spec.depth, stride=2)
-        self.layer2 = _stage(_EXPANSION * width, 2 * width, spec.depth, stride=1)
-        self.pool: AttentionPool | RelationPool = (
-            RelationPool(channels, spec.phrases, hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim)
-            if spec.phrases
-            else AttentionPool(channels, embedding_dim=spec.embedding_dim)
-        )
-
-    def forward(self, images: Tensor) -> Tensor:
-        """Returns the pooled embeddings (N, D) of images uint8 (N, H, W, 3)."""
-        embeddings: Tensor = self.pool(self.feature_maps(images))
-        return embeddings
+        self.layer1 = _stage(2 * width, width, depth, stride=2)
+        self.layer2 = _stage(_EXPANSION * width, 2 * width, depth, stride=1)
 
     def feature_maps(self, images: Tensor) -> Tensor:
         """Returns the feature maps before pooling, (N, C, H / 4, W / 4), of images uint8 (N, H, W, 3)."""
         pixels = images.permute(0, 3, 1, 2).float().sub_(127.5).div_(64.0)  # (N, 3, H, W), channels last in memory
         maps: Tensor = self.layer2(self.layer1(self.stem(pixels)))
         return maps
+
+
+class ClipImageEncoder(ClipFeatureMaps):
+    """Embeds images."""
+
+    def __init__(self, spec: ClipImageSpec) -> None:
+        super().__init__(spec.width, spec.depth)
+        self.pool: AttentionPool | RelationPool = (
+            RelationPool(self.channels, spec.phrases, hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim)
+            if spec.phrases
+            else AttentionPool(self.channels, embedding_dim=spec.embedding_dim)
+        )
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Returns the pooled embeddings (N, D) of images uint8 (N, H, W, 3)."""
+        embeddings: Tensor = self.pool(self.feature_maps(images))
+        return embeddings
 
     @property
     def attention_pool(self) -> "AttentionPool":

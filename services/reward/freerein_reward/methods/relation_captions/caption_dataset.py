@@ -18,8 +18,9 @@ from freerein.learning.augmentation import augment_camera
 from freerein.learning.split import train_validation_split
 from freerein.relations import SpatialRelation, absence_caption, caption
 from freerein_reward.methods.relation_captions.config import RewardConfig
-from freerein_reward.methods.relation_captions.presence import alone_in_place, presence_in_dataset
-from freerein_reward.model import GradCamModel, preprocess
+from freerein_reward.methods.shared.frames import resized
+from freerein_reward.methods.shared.presence import alone_in_place, presence_in_dataset
+from freerein_reward.model import GradCamModel
 from freerein_reward.model.phrase_relations import NO_CAPTION, pairwise_relations
 
 ABSENT = len(SpatialRelation)
@@ -117,7 +118,7 @@ def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConf
     """
     size = grounding.network.spec.image_size
     steps = [dataset.cached_frames(camera).steps for camera in config.cameras]
-    views = tuple(_resized(frames, size) for frames in steps)
+    views = tuple(resized(frames, size) for frames in steps)
     aspect = steps[0].shape[1] / steps[0].shape[2]
     if path.is_file():
         cached = tensor_files.parse(path.read_bytes())
@@ -190,10 +191,3 @@ def _located(
         parts.append(np.stack([found.x, found.y, found.heat, found.presence]))
         rows.append(0, {"captioned": min(1.0, (start + _IMAGES_AT_ONCE) / len(frames))})
     return np.concatenate(parts, axis=1)
-
-
-def _resized(frames: npt.NDArray[np.uint8], size: int) -> npt.NDArray[np.uint8]:
-    """Returns frames (N, H, W, C) as uint8 (N, size, size, 3), without a copy where they have that shape."""
-    if frames.shape[1:] == (size, size, 3):
-        return frames
-    return np.stack([preprocess(frame, size=size) for frame in frames])

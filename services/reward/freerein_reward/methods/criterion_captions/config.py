@@ -1,0 +1,39 @@
+"""Configuration of `criterion_captions`."""
+
+from dataclasses import dataclass
+
+from freerein.config import bounded
+from freerein.learning.fit_config import DatasetFitConfig
+
+
+@dataclass(frozen=True)
+class CriterionConfig(DatasetFitConfig):
+    """Configuration of a fit of a model of criteria.
+
+    Attributes:
+        phrases: Noun phrases of the goal texts, 2 to 16, which must be given; located in the frames of each camera.
+        views: Cameras of the front, side and tilted view of table 4.1, empty ones for views that there are not; by
+            default `cameras` in this order. One camera may be several views, where objects move in a plane.
+        object_widths: Object width as a fraction of the frame's width, one for all views or one for each.
+        min_presence: Presence probability from which a phrase appears in captions; below 1 minus it, it is missing.
+        tolerance: Where the places miss a criterion's limits by less than this, in object widths, it is not learned.
+        batch_size: Moments per optimiser step.
+        augmentation: Strength of the camera augmentation; 0 for none.
+        distractors: Strength of the distractors, shapes that no phrase names; 0 for none.
+        hidden_size: Units of each of the two hidden layers that read places.
+        embedding_dim: Dimension of a caption's embedding.
+    """
+
+    phrases: tuple[str, ...] = ()
+    views: tuple[str, ...] = ()
+    object_widths: tuple[float, ...] = (0.1,)
+    min_presence: float = bounded(0.95, least=0.55, most=1.0)
+    tolerance: float = bounded(0.1, least=0.0, most=1.0)
+    steps: int = bounded(1000, least=1, most=10_000_000)
+    batch_size: int = bounded(64, least=2, most=4096)
+    lr: float = bounded(3e-3, least=1e-7, most=1.0)
+    warmup_steps: int = bounded(50, least=1, most=1_000_000)
+    augmentation: float = bounded(1.0, least=0.0, most=1.0)
+    distractors: float = bounded(1.0, least=0.0, most=1.0)
+    hidden_size: int = bounded(64, least=1, most=4096)
+    embedding_dim: int = bounded(16, least=4, most=64)

@@ -1,0 +1,201 @@
+"""The places of a dataset's noun phrases, as the grounding model finds them in each camera."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from freerein.atomic_files import write_atomic
+from freerein.criteria import View
+from freerein.data import Dataset
+from freerein.errors import InvalidInput
+from freerein.jobs.metrics import MetricsWriter
+from freerein.learning import tensor_files
+from freerein.learning.split import train_validation_split
+from freerein_reward.methods.criterion_captions.captions import HIDDEN, SHOWN, UNSURE, Labels, label_captions
+from freerein_reward.methods.criterion_captions.config import CriterionConfig
+from freerein_reward.methods.criterion_captions.spec import NO_CAMERA
+from freerein_reward.methods.shared.frames import resized
+from freerein_reward.methods.shared.presence import alone_in_place, presence_in_dataset
+from freerein_reward.model import GradCamModel
+
+_IMAGES_AT_ONCE = 256
+
+Frames = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class ViewLayout:
+    """How cameras are the views of table 4.1.
+
+    Attributes:
+        cameras: The number of each view's camera; None for a view that there is not.
+        units: float64 (views, 2), object width as a fraction of the frame's width and height in each view.
+    """
+
+    cameras: tuple[int | None, ...]
+    units: npt.NDArray[np.float64]
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The views that there are."""
+        return tuple(view for view, camera in zip(View, self.cameras, strict=True) if camera is not None)
+
+    def unit(self, camera: int) -> npt.NDArray[np.float64]:
+        """Returns the object width in a camera's frames as a fraction of their width and height, float64 (2,)."""
+        unit: npt.NDArray[np.float64] = self.units[self.cameras.index(camera)]
+        return unit
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether a mirrored frame shows a possible scene: with cameras of several sides it does not."""
+        return len({each for each in self.cameras if each is not None}) == 1 and View.SIDE not in self.views
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceDataset:
+    """N moments seen by V cameras, and where P phrases are.
+
+    Attributes:
+        frames: uint8 (N, H, W, 3) per camera.
+        places: float32 (N, V, P, 2), x and y as fractions of width and height.
+        shown: int8 (N, V, P), `SHOWN`, `HIDDEN` or `UNSURE`.
+        layout: Which camera is which view.
+    """
+
+    frames: tuple[Frames, ...]
+    places: npt.NDArray[np.float32]
+    shown: Labels
+    layout: ViewLayout
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def subset(self, items: npt.NDArray[np.int64]) -> "PlaceDataset":
+        """Returns the moments at some indices, int64 (n,)."""
+        frames = tuple(each[items] for each in self.frames)
+        return replace(self, frames=frames, places=self.places[items], shown=self.shown[items])
+
+    def mirrored(self, flips: npt.NDArray[np.bool_]) -> "PlaceDataset":
+        """Returns the dataset with the frames where `flips`, bool (N,), mirrored left to right, places included."""
+        frames = tuple(np.where(flips[:, None, None, None], each[:, :, ::-1], each) for each in self.frames)
+        places = self.places.copy()
+        places[flips, ..., 0] = 1 - places[flips, ..., 0]
+        return replace(self, frames=frames, places=places)
+
+    def captions(self, tuples: npt.NDArray[np.int64], *, tolerance: float) -> Labels:
+        """Returns whether captions hold; see `label_captions`."""
+        count, _, phrases, _ = self.places.shape
+        places = np.zeros((count, len(View), phrases, 2))
+        shown = np.full((count, len(View), phrases), UNSURE, np.int8)
+        for view in self.layout.views:
+            camera = self.layout.cameras[view]
+            places[:, view] = self.places[:, camera] / self.layout.units[view]
+            shown[:, view] = self.shown[:, camera]
+        return label_captions(places, shown, tuples, views=self.layout.views, tolerance=tolerance)
+
+    def split(
+        self, lengths: npt.NDArray[np.int64], *, fraction: float, seed: int
+    ) -> tuple["PlaceDataset", "PlaceDataset"]:
+        """Returns the training and the validation moments, of whole trajectories.
+
+        `lengths`, int64 (n,), are the timesteps of each trajectory, with sum N; `fraction` is the validation part's.
+        Raises InvalidInput when there is only one trajectory, or a side never shows two phrases at once.
+        """
+        trajectories = np.repeat(np.arange(len(lengths)), lengths)  # (N,)
+        sides = [
+            np.flatnonzero(np.isin(trajectories, side))
+            for side in train_validation_split(np.arange(len(lengths)), fraction=fraction, seed=seed)
+        ]
+        shows_two = (self.shown == SHOWN).sum(axis=2).max(axis=1) >= 2
+        counts = [int(shows_two[side].sum()) for side in sides]
+        if not all(counts):
+            raise InvalidInput(
+                f"Training and validation images must show two of the {self.places.shape[2]} phrases; "
+                f"{counts[0]} and {counts[1]} images do.",
+                field="config.phrases",
+                hint="Try the phrases on one image with `Ground`; name objects by colour.",
+            )
+        training, validation = (self.subset(side) for side in sides)
+        return training, validation
+
+
+def view_layout(cameras: Sequence[str], views: Sequence[str], widths: Sequence[float], aspect: float) -> ViewLayout:
+    """Returns which camera is which view.
+
+    Args:
+        cameras: Camera names.
+        views: The camera of each view, `NO_CAMERA` for none.
+        widths: Object width as a fraction of the frame's width, one for all views or one for each.
+        aspect: Height of the frames over their width.
+    """
+    numbers = tuple(None if name == NO_CAMERA else cameras.index(name) for name in views)
+    across = np.broadcast_to(np.asarray(widths, np.float64), len(View))
+    return ViewLayout(numbers, np.stack([across, across / aspect], axis=1))
+
+
+def locate_phrases(
+    dataset: Dataset, grounding: GradCamModel, config: CriterionConfig, layout: ViewLayout, path: Path
+) -> PlaceDataset:
+    """Returns a dataset's moments with the places of the phrases in each camera.
+
+    `path` is a cache of the places, read when it exists, else written; `metrics.jsonl` beside it then has the fraction
+    done, `captioned`, at step 0.
+    """
+    size = grounding.network.spec.image_size
+    steps = [dataset.cached_frames(camera).steps for camera in config.cameras]
+    frames = tuple(resized(each, size) for each in steps)
+    if path.is_file():
+        cached = tensor_files.parse(path.read_bytes())
+        places, shown = cached["places"].numpy(), cached["shown"].numpy()
+    else:
+        rows = MetricsWriter(path.with_name("metrics.jsonl"), last_step=-1)
+        places, shown = find_places(frames, grounding, config, layout, rows)
+        tensors = {"places": torch.from_numpy(places), "shown": torch.from_numpy(shown)}
+        write_atomic(path, tensor_files.dump(tensors))
+    return PlaceDataset(frames, places, shown, layout)
+
+
+def find_places(
+    frames: Sequence[Frames],
+    grounding: GradCamModel,
+    config: CriterionConfig,
+    layout: ViewLayout,
+    rows: MetricsWriter | None = None,
+) -> tuple[npt.NDArray[np.float32], Labels]:
+    """Returns the places of the phrases, float32 (N, V, P, 2), and whether they are shown, int8 (N, V, P).
+
+    `frames` are uint8 (N, H, W, 3) per camera.
+    """
+    places, shown = [], []
+    for camera, view in enumerate(frames):
+        parts = []
+        for start in range(0, len(view), _IMAGES_AT_ONCE):
+            found = grounding.ground(view[start : start + _IMAGES_AT_ONCE], config.phrases)
+            parts.append(np.stack([found.x, found.y, found.heat, found.presence]))
+            if rows:
+                done = (camera + min(1.0, (start + _IMAGES_AT_ONCE) / len(view))) / len(frames)
+                rows.append(0, {"captioned": done})
+        x, y, heat, presence = np.concatenate(parts, axis=1)  # (N, P) each
+        places.append(np.stack([x, y], axis=2).astype(np.float32))
+        unit = layout.unit(camera)
+        shown.append(_shown(x / unit[0], y / unit[1], heat, presence, least=config.min_presence))
+    return np.stack(places, axis=1), np.stack(shown, axis=1)
+
+
+def _shown(
+    x: npt.NDArray[np.float64],
+    y: npt.NDArray[np.float64],
+    heat: npt.NDArray[np.float64],
+    presence: npt.NDArray[np.float64],
+    *,
+    least: float,
+) -> Labels:
+    """Returns whether phrases are shown at places in object widths, int8 (N, P)."""
+    probability = presence_in_dataset(heat, presence).probability
+    is_alone = alone_in_place(x, y, probability, heat, epsilon=1.0)
+    sure = np.where(probability < 1 - least, HIDDEN, UNSURE)
+    return np.where(is_alone & (probability >= least), SHOWN, sure).astype(np.int8)
