@@ -8,6 +8,7 @@ from types import MappingProxyType
 import torch
 
 from experiments.robustness import (
+    criteria,
     goal_texts,
     language,
     policies,
@@ -81,6 +82,7 @@ class RobustnessExperiment(Experiment):
                 for seed in range(self.seeds)
             ),
             *(Arm(world, UNFAMILIAR, {}, seed) for world in (DEMONSTRATED, SCATTERED) for seed in range(self.seeds)),
+            *(Arm(SCATTERED, criteria.METHOD, {}, seed) for seed in range(self.seeds)),
             *(Arm(task, PPO) for task in tasks),
             *policies.arms(self.seeds),
             *(Arm(language.SIDES[0], policies.PPO_SPEED, seed=run) for run in range(policies.SPEED_RUNS)),
@@ -101,6 +103,10 @@ class RobustnessExperiment(Experiment):
             return config | {"reward_model": goal_texts.reward_version()}
         if arm.method in policies.METHODS:
             return config | {"steps": list(policies.METHODS[arm.method].steps(arm))}
+        if arm.method == criteria.METHOD:
+            fit, test = criteria.fit_config(seed=arm.seed), list(unfamiliar.scene_specs().values())
+            more = {"training": reward.TRAINING, "grounding": reward.grounding_version()}
+            return config | more | {"fit": fit, "test": test}
         if _segments(arm):
             config |= {"fit": _segmentation_config(arm), "training": segmentation.TRAINING}
         if _rewards(arm):
@@ -144,6 +150,12 @@ class RobustnessExperiment(Experiment):
             return None if segmenter is None else evaluate(segmenter, work)
         if arm.method == PPO:
             return visited_states.evaluate_policy(self._policies[arm.world], work)
+        return self._fit_reward(arm, work, on_progress)
+
+    def _fit_reward(self, arm: Arm, work: Path, on_progress: Callable[[], None]) -> Outcome | None:
+        if arm.method == criteria.METHOD:
+            of_criteria = criteria.fit_model(criteria.fit_config(seed=arm.seed), work, on_progress)
+            return None if of_criteria is None else criteria.evaluate(of_criteria, work)
         model = reward.fit_model(_reward_config(arm), work, on_progress)
         return None if model is None else self._judge(model, arm, work)
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from experiments.robustness import visited_states
-from experiments.robustness.targets import BASELINE, LEAST_RUNS, OURS, TARGETS, Target
+from experiments.robustness.target import Target
+from experiments.robustness.targets import BASELINE, LEAST_RUNS, OURS, TARGETS
 from experiments.robustness.worlds import DEMONSTRATED, SCATTERED
 from experiments.workbench import claims
 from experiments.workbench.claims import Claim

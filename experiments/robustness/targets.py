@@ -1,11 +1,12 @@
 """The targets of the benchmark: what each claim measures, and what it must reach."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from experiments.robustness import (
     confidence,
+    criteria,
     evaluated,
     goal_texts,
     language,
@@ -17,74 +18,18 @@ from experiments.robustness import (
     visited_states,
     wordings,
 )
+from experiments.robustness.target import Target
 from experiments.robustness.worlds import BLOCKS, DEMONSTRATED, DISTRACTORS, NOMINAL, SCATTERED, conditions
 from experiments.segmentation.evaluation import FRAME_ACCURACY
 
 OURS, BASELINE = "augmented", "plain"
 """Variants of a fit: the one that claims are of, and the one that they are compared with."""
 
-_PER_CENT, _SHARE = 100, 1
+_PER_CENT = 100
 LEAST_RUNS = 5
 """Runs that a claim of runs needs."""
 _PUSHER = 5.0
 """Per cent of the expert that a policy earns at most, from starts in the wrong order, that only pushes blocks."""
-
-
-@dataclass(frozen=True)
-class Target:
-    """A claim to be made.
-
-    Attributes:
-        claim: Its name.
-        text: What it measures.
-        worlds: Worlds of the arms that measure it, whose trials are joined; empty for all tasks of shipped policies.
-        samples: Figures, the worst of which it is.
-        least: What it must reach at least; None where it must not exceed `most`.
-        most: What it must not exceed; with neither it is only reported.
-        unit: 100 for per cent, 1 for a share.
-        low_above: What the lower end of the interval must exceed, if anything.
-        apart: Pairs of samples; the interval of the first must lie above that of the second.
-        also: Claims that must be met for this one to be.
-        method: Method of the arms; empty for the fits that have variants.
-        baseline: Method of the arms that they are compared with.
-        ceiling: Method of the arms that they cannot exceed, if any.
-        of_runs: Whether it is of runs of the same thing, such as a speed: their median, and their range in the place of
-            an interval, on the processor with most of them.
-    """
-
-    claim: str
-    text: str
-    worlds: tuple[str, ...]
-    samples: tuple[str, ...]
-    least: float | None = None
-    most: float | None = None
-    unit: int = _SHARE
-    low_above: float | None = None
-    apart: tuple[tuple[str, str], ...] = ()
-    also: tuple[str, ...] = ()
-    method: str = ""
-    baseline: str = ""
-    ceiling: str = ""
-    of_runs: bool = False
-
-    @property
-    def has_bar(self) -> bool:
-        """Whether it must reach anything."""
-        return self.least is not None or self.most is not None
-
-    @property
-    def must_reach(self) -> str:
-        """What it must reach, such as `>= 92`."""
-        if not self.has_bar:
-            return "reported"
-        bar = f"≥ {self.least:g}" if self.least is not None else f"≤ {self.most:g}"
-        return bar if self.low_above is None else f"{bar}, lower end > {self.low_above:g}"
-
-    def is_reached(self, value: float, low: float) -> bool:
-        """Returns whether a value, and the lower end of its interval, are good enough."""
-        if self.low_above is not None and low <= self.low_above:
-            return False
-        return value >= self.least if self.least is not None else value <= (self.most or 0.0)
 
 
 def _frames(claim: str, text: str, least: float, *named: str) -> Target:
@@ -137,6 +82,29 @@ def _distracted() -> Iterator[Target]:
         most=0.05,
         **more,
     )
+
+
+def _criteria() -> Iterator[Target]:
+    """Yields the claims of rewards of the second method, which knows the criteria of table 4.1."""
+    more: dict[str, Any] = {"worlds": (SCATTERED,), "method": criteria.METHOD}
+    about = "reward of criteria, balanced accuracy of 5 relations, %"
+    scene_sets: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...], float | None], ...] = (
+        ("two", "2 blocks", (NOMINAL,), BLOCKS[:1], 93),
+        ("four", "4 blocks", (NOMINAL,), BLOCKS[1:], 85),
+        ("light", "light 0.6 or 0.8", ("light-0.6", "light-0.8"), BLOCKS, None),
+        ("hue", "hue ±10 %", ("hue-minus-10", "hue-plus-10"), BLOCKS, 88),
+        ("distractors", "a ball or a picture in a block's colour", DISTRACTORS, BLOCKS, 85),
+    )
+    for claim, text, named, blocks, least in scene_sets:
+        samples = tuple(f"{name}.{count}.{scenes.BALANCED}" for name in named for count in blocks)
+        also = (f"criteria_{claim}_absent",) if claim == "distractors" else ()
+        yield Target(
+            f"criteria_{claim}", f"{about}: {text}", samples=samples, least=least, unit=_PER_CENT, also=also, **more
+        )
+    text = "reward of criteria: pairs with an absent block of which any goal is rewarded"
+    for claim, shown, most in (("absent", conditions(SCATTERED), 0.02), ("distractors_absent", DISTRACTORS, 0.05)):
+        samples = tuple(f"{name}.blocks-2.{scenes.ABSENT_REWARDED}" for name in shown)
+        yield Target(f"criteria_{claim}", text, samples=samples, most=most, **more)
 
 
 def _followed(claim: str, text: str, sample: str, *, least: float | None = None, most: float | None = None) -> Target:
@@ -307,6 +275,7 @@ TARGETS = (
     *_confidence("seg", "segmentation", DEMONSTRATED),
     *_confidence("reward", "reward", SCATTERED),
     *_distracted(),
+    *_criteria(),
     _followed("flag_auroc", "goal-reached flag on visited states: AUROC", evaluated.FLAG_AUROC, least=0.95),
     _followed("flag_ece", "goal-reached flag there: ECE", evaluated.FLAG_ECE, most=0.05),
     _followed("flag_recall", "goal-reached flag there: recall at precision 0.9", evaluated.FLAG_RECALL, least=0.7),

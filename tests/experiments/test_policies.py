@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiments.robustness import evaluated, language, policies
-from experiments.robustness.targets import Target
+from experiments.robustness.target import Target
 from experiments.workbench.arms import Arm
 from experiments.workbench.pipelines import run_pipeline
 
