@@ -100,7 +100,7 @@ def test_a_language_policy_is_judged_by_its_teachers_the_other_text_and_what_it_
     }
     found = policies.METHODS[policies.LANGUAGE].samples(trials)
     assert found[language.TOLD_OWN].mean == 90 / 120
-    assert [found[language.told_other(task)].mean for task in policies.SIDES] == [15.0, 25.0]
+    assert [found[language.told_other(task)].mean for task in language.SIDES] == [15.0, 25.0]
     assert found[language.WORDINGS].mean == (count - 1) / count
 
 

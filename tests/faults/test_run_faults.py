@@ -167,7 +167,7 @@ def begun(run: Run, killed: Run) -> Run:
 async def test_a_training_over_a_bad_network_ends_with_the_same_policy(
     run: Run, whole: Run, environ: dict[str, str], fork_child: StartChild
 ) -> None:
-    weather = network.Weather(delay_s=0.005, jitter_s=0.005, resets_after=50_000)
+    weather = network.Weather(delay_s=0.005, jitter_s=0.005, resets_after=200_000)  # a list of tasks gets through
     async with (
         network.ChaosProxy(environ["FREEREIN_SIM_ADDRESS"], weather) as sim,
         network.ChaosProxy(environ["FREEREIN_REWARD_ADDRESS"], weather) as reward,

@@ -45,7 +45,7 @@ _FAILURES = (
 
 
 @dataclass(frozen=True, eq=False)
-class Observation:
+class EngineObservation:
     """What the player sees, and where it is.
 
     Attributes:
@@ -87,7 +87,7 @@ class Engine:
         """Whether it has not been closed, nor found to have ended."""
         return bool(self._game.is_running())
 
-    def begin(self, place: Point, heading: float) -> Observation:
+    def begin(self, place: Point, heading: float) -> EngineObservation:
         """Begins an episode with the player at a place, turned towards a heading in degrees.
 
         Raises:
@@ -102,7 +102,7 @@ class Engine:
             self._game.make_action([0, 0, 0, 0], 1)
         return _observation(self._game.get_state())
 
-    def act(self, choice: int) -> Observation | None:
+    def act(self, choice: int) -> EngineObservation | None:
         """Holds a choice for one control step; returns None where that ended the episode.
 
         Raises:
@@ -156,5 +156,5 @@ class Engine:
             ) from None
 
 
-def _observation(state: vizdoom.GameState) -> Observation:
-    return Observation(state.screen_buffer, np.asarray(state.game_variables, np.float64))
+def _observation(state: vizdoom.GameState) -> EngineObservation:
+    return EngineObservation(state.screen_buffer, np.asarray(state.game_variables, np.float64))

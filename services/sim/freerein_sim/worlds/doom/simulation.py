@@ -12,7 +12,7 @@ from PIL import Image
 
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein_sim.worlds.doom import maps
-from freerein_sim.worlds.doom.engine import Engine, Observation
+from freerein_sim.worlds.doom.engine import Engine, EngineObservation
 from freerein_sim.worlds.doom.floor import AHEAD_UNITS, CELL_UNITS, Floor
 from freerein_sim.worlds.doom.maps import DoomMap
 from freerein_sim.worlds.doom.spec import ALONG_PATH, start_spot
@@ -66,7 +66,7 @@ class DoomWorld:
         self._start_spot = start_spot(conditions)
         self._starts_along_path = ALONG_PATH in conditions
         self._engine: Engine | None = None
-        self._seen: Observation | None = None
+        self._seen: EngineObservation | None = None
         self._has_ended = False
         self.expert: MakeExpert = partial(make_expert, self)
 
@@ -133,7 +133,7 @@ class DoomWorld:
             self._engine.close()
             self._engine = None
 
-    def _now(self) -> Observation:
+    def _now(self) -> EngineObservation:
         if self._seen is None:
             raise _not_begun()
         return self._seen
