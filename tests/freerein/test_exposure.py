@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from freerein.learning import weights
 from freerein.learning.encoders import ENCODERS, CameraEncoders
 from freerein.learning.encoders.exposure import ExposureNormalisation
 from freerein.types.common import Camera
@@ -52,6 +53,7 @@ def test_encoders_see_normalised_frames_of_each_camera() -> None:
     cameras = [Camera(name, 16, 24, 3) for name in ("front", "observation.images.wrist")]
     encoders = CameraEncoders(ENCODERS["spatial"], cameras, features=8, normalise_exposure=True)
     seen = {camera.name: frames(40) for camera in cameras}
+    weights.initialise(encoders, generator=torch.Generator().manual_seed(0))
     encoders.fit_normalisation(seen, generator=torch.Generator().manual_seed(0))
     dim = {name: (0.7 * each).round().to(torch.uint8) for name, each in seen.items()}
     unnormalised = CameraEncoders(ENCODERS["spatial"], cameras, features=8)
