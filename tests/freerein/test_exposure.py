@@ -61,4 +61,4 @@ def test_encoders_see_normalised_frames_of_each_camera() -> None:
     with torch.no_grad():
         nominal = encoders(seen)
         change, without = (encoders(dim) - nominal).abs().mean(), (unnormalised(dim) - nominal).abs().mean()
-    assert change < without / 5
+    assert change < without / 3
