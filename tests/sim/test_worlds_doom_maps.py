@@ -8,7 +8,7 @@ import pytest
 
 from freerein.errors import FailedPrecondition
 from freerein_sim.worlds.doom import TASKS, maps, textmap, wad
-from freerein_sim.worlds.doom.floor import CELL_UNITS, CLEAR_UNITS, Floor
+from freerein_sim.worlds.doom.floor import CELL_UNITS, CLEAR_UNITS, floor_between
 from freerein_sim.worlds.doom.grid_map import GridMap
 from freerein_sim.worlds.predicates import States
 
@@ -71,7 +71,7 @@ def test_no_two_maps_share_a_texture() -> None:
 
 @pytest.mark.parametrize("path", maps.B.routes)
 def test_a_way_leads_from_end_to_end_through_free_floor(path: str) -> None:
-    floor = Floor(textmap.read_walls(maps.B.text()))
+    floor = floor_between(textmap.read_walls(maps.B.text()))
     begin, end = (np.array(place, np.float64) for place in maps.B.ends(path))
 
     way = floor.way(begin, end)

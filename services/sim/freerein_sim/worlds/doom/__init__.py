@@ -9,12 +9,13 @@ from collections.abc import Collection
 from functools import lru_cache, partial
 
 from freerein_sim.worlds.doom import maps, textmap
-from freerein_sim.worlds.doom.floor import Floor
+from freerein_sim.worlds.doom.floor import floor_between
 from freerein_sim.worlds.doom.maps import DoomMap
 from freerein_sim.worlds.doom.predicates import predicates_of
 from freerein_sim.worlds.doom.spec import spec_of, start_conditions
 from freerein_sim.worlds.recipes import RandomOrder
 from freerein_sim.worlds.replay import ReplayedWorld
+from freerein_sim.worlds.walkable_grid import WalkableGrid
 from freerein_sim.worlds.world import TaskDefinition, World
 
 VERSION = 1
@@ -30,8 +31,8 @@ def _make(doom_map: DoomMap, conditions: Collection[str] = ()) -> World:
 
 
 @lru_cache(maxsize=4)
-def _floor(doom_map: DoomMap) -> Floor:
-    return Floor(textmap.read_walls(doom_map.text()))
+def _floor(doom_map: DoomMap) -> WalkableGrid:
+    return floor_between(textmap.read_walls(doom_map.text()))
 
 
 def _task(name: str, doom_map: DoomMap) -> TaskDefinition:

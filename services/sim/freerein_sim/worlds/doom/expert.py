@@ -5,9 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from freerein_sim.worlds.doom.floor import AHEAD_UNITS, CELL_UNITS, CLEAR_UNITS, Places
+from freerein_sim.worlds.doom.floor import AHEAD_UNITS, CELL_UNITS
 from freerein_sim.worlds.doom.simulation import DoomWorld, check_one_path
 from freerein_sim.worlds.doom.spec import FORWARD, LEFT, NO_OP, RIGHT
+from freerein_sim.worlds.walkable_grid import Places, smoothed
 from freerein_sim.worlds.world import LabelledAction, skill_indices
 
 _THERE_UNITS = 32.0
@@ -19,7 +20,6 @@ _TURNING_DEGREES = (5.0, 10.0)
 _STRAY_UNITS, _STRAY_EVERY_UNITS = 16.0, 64.0
 """Standard deviation of how far it strays to the side, drawn anew after this length of its way."""
 
-_SMOOTHED = 9
 _REST_PROBABILITY, _MOST_REST_STEPS = 0.15, 3
 """How often it rests before an action, and how long at most."""
 
@@ -80,24 +80,5 @@ class PathExpert:
     def _plan(self) -> Places:
         """Draws a way from where it is to the end."""
         way = self._floor.way(self._world.pose[:2].copy(), self._end)
-        return _smoothed(self._strayed(_smoothed(way)))
-
-    def _strayed(self, way: Places) -> Places:
-        """Returns the way moved to its sides, where there is room; its ends stay."""
-        count = len(way)
-        knots = np.arange(0, count + _STRAY_EVERY_UNITS / CELL_UNITS, _STRAY_EVERY_UNITS / CELL_UNITS)
-        aside = np.interp(np.arange(count), knots, self._rng.normal(0, _STRAY_UNITS, len(knots)))
-        aside[[0, -1]] = 0
-        along = np.gradient(way, axis=0) if count > 1 else np.zeros_like(way)
-        normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-        strayed = way + aside[:, None] * normal
-        return np.where((self._floor.clearance(strayed) >= CLEAR_UNITS)[:, None], strayed, way)
-
-
-def _smoothed(way: Places) -> Places:
-    """Returns moving averages of the way; its ends stay."""
-    margin = _SMOOTHED // 2
-    padded = np.concatenate([np.repeat(way[:1], margin, axis=0), way, np.repeat(way[-1:], margin, axis=0)])
-    kernel = np.ones(_SMOOTHED) / _SMOOTHED
-    return np.stack([np.convolve(padded[:, axis], kernel, mode="valid") for axis in range(2)], axis=1)
+        strayed = self._floor.strayed(smoothed(way), self._rng, by=_STRAY_UNITS, every=_STRAY_EVERY_UNITS)
+        return smoothed(strayed)

@@ -13,9 +13,10 @@ from PIL import Image
 from freerein.errors import FailedPrecondition, InvalidInput
 from freerein_sim.worlds.doom import maps
 from freerein_sim.worlds.doom.engine import Engine, EngineObservation
-from freerein_sim.worlds.doom.floor import AHEAD_UNITS, CELL_UNITS, Floor
+from freerein_sim.worlds.doom.floor import AHEAD_UNITS, CELL_UNITS
 from freerein_sim.worlds.doom.maps import DoomMap
 from freerein_sim.worlds.doom.spec import ALONG_PATH, start_spot
+from freerein_sim.worlds.walkable_grid import WalkableGrid
 from freerein_sim.worlds.world import (
     Action,
     Frame,
@@ -54,7 +55,7 @@ class DoomWorld:
         self,
         spec: WorldSpec,
         doom_map: DoomMap,
-        floor: Floor,
+        floor: WalkableGrid,
         make_expert: MakeDoomExpert,
         conditions: Collection[str] = (),
     ) -> None:
