@@ -1,0 +1,31 @@
+"""What a session of the office world sees and does, in numbers. Lengths are in metres, headings in degrees."""
+
+from freerein.types.common import ActionSpec, Camera
+from freerein_sim.worlds.conditions import LIGHT_CONDITIONS, Condition
+from freerein_sim.worlds.world import WorldSpec
+
+STAND_STILL, FORWARD, LEFT, RIGHT = range(4)
+STEP_M, TURN_DEG = (0.09, 0.11), (14.0, 18.0)
+"""Intervals of how far an action drives and turns; each is drawn uniformly."""
+
+ROBOT_RADIUS_M = 0.18
+CAMERA_HEIGHT_M, VIEW_DEG = 0.6, 60.0
+"""Height of the camera, and its field of view, in both directions."""
+
+GOAL, MAZE, LOOP = "goal", "maze", "loop"
+ALONG_PATH = "heading-along-path"
+
+CAMERA = "first-person"
+SPEC = WorldSpec(
+    cameras=(Camera(CAMERA, 64, 64, 3),),
+    action=ActionSpec(size=1, choices=4, names=("stand-still", "forward", "left", "right")),
+    control_dt_s=0.5,
+    skills=(GOAL, MAZE, LOOP),
+    max_episode_steps=500,
+    state_names=("robot.x", "robot.y", "robot.heading", "contact", "goal.x", "goal.y", "goal.heading"),
+)
+
+CONDITIONS = (
+    *LIGHT_CONDITIONS,
+    Condition(ALONG_PATH, "heading", "an episode with a maze or a loop begins where that does, in its direction"),
+)
