@@ -20,4 +20,5 @@ def is_visible(rectangles: Rectangles, eye: Places, places: Places) -> npt.NDArr
     along = np.where(np.abs(along) < 1e-12, 1e-12, along)[:, None]  # (N, 1, 2)
     first, second = (rectangles[:, :2] - eye) / along, (rectangles[:, 2:] - eye) / along  # (N, R, 2)
     entered, left = np.minimum(first, second).max(axis=-1), np.maximum(first, second).min(axis=-1)
-    return ~((entered <= np.minimum(left, 1)) & (left >= 0)).any(axis=1)
+    is_hidden = ((entered <= np.minimum(left, 1)) & (left >= 0)).any(axis=1)
+    return np.asarray(~is_hidden)

@@ -1,7 +1,7 @@
 """The MuJoCo model of a floor: a mesh for each texture, and a camera on a body that is put where the robot is.
 
-A mesh has the faces of all boxes of one texture, in scale: textures of MuJoCo's own boxes smear on their sides, and a
-frame of a hundred geoms takes three times as long.
+A mesh has the faces of all boxes of one texture. Textures of MuJoCo's own boxes smear on their sides, and a frame of
+them takes about three times as long.
 """
 
 from collections import defaultdict
@@ -16,7 +16,7 @@ from freerein_sim.worlds.mujoco_world import Scene, compile_scene
 from freerein_sim.worlds.office.floors import FLOORS
 from freerein_sim.worlds.office.furniture import Box
 from freerein_sim.worlds.office.spec import CAMERA, CAMERA_HEIGHT_M, VIEW_DEG
-from freerein_sim.worlds.office.textures import Texture, draw_textures
+from freerein_sim.worlds.office.textures.floor_textures import Texture, draw_textures
 from freerein_sim.worlds.scenes import add_camera, add_lamp, new_scene
 
 ROBOT = "robot"

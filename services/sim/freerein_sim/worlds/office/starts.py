@@ -19,7 +19,7 @@ GOAL_STEPS = (20, 28)
 _JITTER_M = 0.5
 """Greatest distance of a start from the beginning of a path."""
 
-_GOAL_M = (1.0, 2.8)
+_GOAL_M, _LOOKS_M = (1.0, 2.8), 1.0
 _TRIES = 2000
 _RAYS, _SAMPLES_M = 31, np.arange(0.2, 10, 0.2)
 
@@ -52,7 +52,8 @@ def draw_start_and_goal(rng: np.random.Generator, plan: FloorPlan) -> tuple[Pose
         if not len(near):
             continue
         goal = _posed(rng, near)
-        if _count_steps(np.stack([start[:2], goal[:2]]), start, goal) > most or overlap(plan.walls, start, goal):
+        straight = _count_steps(np.stack([start[:2], goal[:2]]), start, goal)
+        if straight > most or not _looks_far(plan, goal) or overlap(plan.walls, start, goal):
             continue
         way = smoothed(plan.grid.way(start[:2], goal[:2]))[:: round(AHEAD_M / CELL_M)]
         if fewest <= _count_steps(np.concatenate([way, [goal[:2]]]), start, goal) <= most:
@@ -94,12 +95,19 @@ def _posed(rng: np.random.Generator, places: Places) -> Pose:
     return np.append(place, rng.uniform(0, 360))
 
 
+def _looks_far(plan: FloorPlan, pose: Pose) -> bool:
+    """Returns whether nothing is closer than `_LOOKS_M` in the direction of a pose: a bare wall is no goal."""
+    heading = math.radians(pose[2])
+    ahead = pose[:2] + _LOOKS_M * np.array([math.cos(heading), math.sin(heading)])
+    return bool(is_visible(plan.obstacles, pose[:2], ahead[None])[0])
+
+
 def _within(plan: FloorPlan, place: Places, least_m: float, most_m: float) -> Places:
     """Returns the grid's free places at a distance from a place, and in sight of it."""
     free = plan.grid.free_places
     distances = np.linalg.norm(free - place, axis=1)
     near = free[(distances >= least_m) & (distances <= most_m)]
-    return near[is_visible(plan.walls, place, near)]
+    return np.asarray(near[is_visible(plan.walls, place, near)])
 
 
 def _count_steps(way: Places, start: Pose, goal: Pose) -> float:

@@ -1,0 +1,1 @@
+"""Textures of a floor, all drawn from its seed: patterns of two colours, and pictures."""
