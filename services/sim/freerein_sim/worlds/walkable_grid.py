@@ -45,7 +45,7 @@ class WalkableGrid:
         columns, rows = np.ceil((high - low) / cell).astype(int) + 1
         places = low + cell * np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
         self._clearance = clearance(places.reshape(-1, 2)).reshape(rows, columns)
-        self._next_cells = lru_cache(maxsize=16)(self._compute_next_cells)
+        self._next_cells = lru_cache(maxsize=32)(self._compute_next_cells)
 
     @property
     def free_places(self) -> Places:

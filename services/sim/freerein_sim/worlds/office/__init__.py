@@ -26,8 +26,17 @@ def _make(floor: str, conditions: Collection[str] = ()) -> World:
 
 
 def _task(floor: str) -> TaskDefinition:
-    predicates, make = predicates_of(FLOORS[floor]), partial(_make, floor)
-    return TaskDefinition(floor, "office", "", SPEC, make, predicates, CONDITIONS, RandomOrder(most=1), VERSION)
+    return TaskDefinition(
+        floor,
+        "office",
+        "",
+        SPEC,
+        partial(_make, floor),
+        predicates_of(FLOORS[floor]),
+        CONDITIONS,
+        RandomOrder(most=1),
+        version=VERSION,
+    )
 
 
 TASKS = tuple(map(_task, FLOORS))

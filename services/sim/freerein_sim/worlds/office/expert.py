@@ -7,7 +7,7 @@ import numpy as np
 
 from freerein_sim.worlds.office.plan import AHEAD_M, CELL_M
 from freerein_sim.worlds.office.simulation import OfficeWorld, check_one_skill
-from freerein_sim.worlds.office.spec import FORWARD, GOAL, LEFT, LOOP, MAZE, RIGHT, ROBOT_RADIUS_M
+from freerein_sim.worlds.office.spec import FORWARD, LEFT, RIGHT, ROBOT_RADIUS_M
 from freerein_sim.worlds.office.starts import direction_deg, turn_deg
 from freerein_sim.worlds.walkable_grid import Places, smoothed
 from freerein_sim.worlds.world import LabelledAction, skill_indices
@@ -28,17 +28,17 @@ _SHARES = np.linspace(0, 1, 9)[:, None]
 
 
 class OfficeExpert:
-    """Drives to the end of its skill from wherever it is; without a skill, of the episode's, or of a path it draws."""
+    """Drives to the end of its skill from wherever it is; without a skill, of the episode's, or of one it draws."""
 
     def __init__(self, world: OfficeWorld, skills: Sequence[str], rng: np.random.Generator) -> None:
         check_one_skill(skills)
         self._world = world
-        (skill,) = tuple(skills) or world.recipe or (str(rng.choice([MAZE, LOOP])),)
+        (skill,) = tuple(skills) or world.recipe or (str(rng.choice(world.spec.skills)),)
         (self._skill,) = skill_indices(world.spec, [skill])
         self._turning = rng.uniform(*_TURNING_DEG)
-        self._heading = world.goal[2] if skill == GOAL else None
-        places = [world.goal[:2]] if skill == GOAL else [np.array(place) for place in world.plan.paths[skill]]
-        self._way = self._plan(places, rng)
+        *_, self._heading = world.plan.goals.get(skill, (None,))
+        places = [world.plan.goals[skill][:2]] if skill in world.plan.goals else world.plan.paths[skill]
+        self._way = self._plan(np.array(places), rng)
         self._passed = 0
 
     def act(self) -> LabelledAction | None:
@@ -73,8 +73,8 @@ class OfficeExpert:
                 return np.asarray(aim)
         return np.asarray(candidates[-1])
 
-    def _plan(self, places: Sequence[Places], rng: np.random.Generator) -> Places:
-        """Draws a way from where it is through places."""
+    def _plan(self, places: Places, rng: np.random.Generator) -> Places:
+        """Draws a way from where it is through places, float64 (N, 2)."""
         grid = self._world.plan.grid
         ways = [grid.way(begin, end)[:-1] for begin, end in pairwise([self._world.pose[:2].copy(), *places])]
         way = np.concatenate([*ways, places[-1:]])

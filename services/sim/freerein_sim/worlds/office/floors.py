@@ -1,8 +1,14 @@
 """The four floors: two to explore, one that validates, and one of the claims. No two share a texture."""
 
 from freerein_sim.worlds.office.furniture import Piece
-from freerein_sim.worlds.office.plan import FloorPlan
-from freerein_sim.worlds.office.spec import LOOP, MAZE
+from freerein_sim.worlds.office.plan import FloorPlan, Pose
+from freerein_sim.worlds.office.spec import GOALS, LOOP, MAZE
+
+
+def _numbered(*goals: Pose) -> dict[str, Pose]:
+    """Returns goals by skill."""
+    return dict(zip(GOALS, goals, strict=True))
+
 
 _CORRIDOR_BETWEEN = FloorPlan(
     seed=101,
@@ -48,6 +54,18 @@ _CORRIDOR_BETWEEN = FloorPlan(
         MAZE: ((3.1, 6.9), (2.5, 5.0), (4.2, 4.2), (6.0, 3.5), (6.3, 1.4)),
         LOOP: ((6.0, 5.9), (7.0, 5.75), (8.1, 6.1), (8.0, 7.1), (6.9, 7.3), (5.9, 7.0), (5.9, 6.2)),
     },
+    goals=_numbered(
+        (6.1, 2.5, 290),
+        (8.1, 5.9, 350),
+        (1.5, 6.3, 10),
+        (6.9, 7.2, 20),
+        (2.5, 2.3, 340),
+        (5.2, 5.3, 330),
+        (1.3, 3.7, 70),
+        (8.2, 4.0, 160),
+        (3.4, 5.8, 240),
+        (6.5, 0.4, 50),
+    ),
 )
 
 _CORRIDOR_ALONG = FloorPlan(
@@ -94,6 +112,18 @@ _CORRIDOR_ALONG = FloorPlan(
         MAZE: ((2.6, 6.6), (4.0, 6.0), (4.75, 4.5), (5.5, 3.0), (7.1, 2.3)),
         LOOP: ((7.0, 5.2), (7.9, 4.8), (8.7, 5.3), (8.7, 6.6), (7.9, 7.0), (7.1, 6.6), (7.0, 5.5)),
     },
+    goals=_numbered(
+        (6.7, 6.9, 310),
+        (8.9, 5.3, 230),
+        (3.6, 1.3, 50),
+        (3.7, 5.9, 320),
+        (3.2, 3.1, 130),
+        (8.4, 2.1, 140),
+        (5.8, 2.7, 50),
+        (1.9, 5.4, 70),
+        (2.0, 2.0, 340),
+        (6.1, 5.3, 110),
+    ),
 )
 
 _OPEN_PLAN = FloorPlan(
@@ -140,6 +170,18 @@ _OPEN_PLAN = FloorPlan(
         MAZE: ((3.8, 6.3), (4.2, 4.6), (4.5, 3.3), (5.5, 2.0), (7.6, 2.2), (8.2, 3.0)),
         LOOP: ((6.8, 5.7), (7.8, 5.4), (8.9, 5.8), (8.9, 6.7), (7.9, 6.95), (6.9, 6.7), (6.8, 6.0)),
     },
+    goals=_numbered(
+        (4.7, 4.7, 140),
+        (7.5, 1.4, 0),
+        (6.0, 2.3, 90),
+        (1.3, 1.5, 30),
+        (9.1, 3.9, 150),
+        (4.0, 1.9, 350),
+        (1.0, 5.3, 270),
+        (6.5, 7.0, 10),
+        (1.5, 3.4, 110),
+        (1.9, 6.7, 270),
+    ),
 )
 
 _CORRIDOR_AROUND = FloorPlan(
@@ -186,6 +228,18 @@ _CORRIDOR_AROUND = FloorPlan(
         MAZE: ((2.8, 1.3), (4.5, 2.0), (5.25, 4.0), (6.5, 5.2), (8.5, 6.0), (8.6, 6.9)),
         LOOP: ((5.25, 3.2), (6.0, 3.0), (7.0, 3.6), (7.0, 4.8), (6.0, 5.2), (5.25, 4.6), (5.25, 3.7)),
     },
+    goals=_numbered(
+        (3.7, 2.6, 240),
+        (8.0, 3.1, 350),
+        (2.1, 5.3, 170),
+        (7.3, 1.5, 90),
+        (1.8, 1.2, 50),
+        (3.8, 4.9, 40),
+        (6.0, 5.5, 0),
+        (9.2, 5.2, 150),
+        (6.3, 2.8, 130),
+        (1.0, 7.4, 300),
+    ),
 )
 
 FLOORS = {

@@ -34,6 +34,9 @@ _HUNG = {"window": (1.0, 0.8, 2.0), "poster": (0.7, 0.7, 1.6), "door": (0.8, 0.0
 Point = tuple[float, float]
 """x and y in metres."""
 
+Pose = tuple[float, float, float]
+"""x and y in metres, heading in degrees."""
+
 
 @dataclass(frozen=True, eq=False)
 class FloorPlan:
@@ -44,12 +47,14 @@ class FloorPlan:
         rows: The rooms.
         furniture: Where furniture stands.
         paths: By skill, the places that a walk leads through, from its beginning to its end.
+        goals: By skill, a pose to be reached.
     """
 
     seed: int
     rows: Sequence[str]
     furniture: Sequence[Piece]
     paths: Mapping[str, Sequence[Point]]
+    goals: Mapping[str, Pose]
 
     @property
     def size_m(self) -> Point:

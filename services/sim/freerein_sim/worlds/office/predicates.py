@@ -5,19 +5,15 @@ from functools import partial
 
 import numpy as np
 
-from freerein_sim.worlds.office.plan import FloorPlan, Point
-from freerein_sim.worlds.office.spec import GOAL
+from freerein_sim.worlds.office.plan import FloorPlan, Point, Pose
 from freerein_sim.worlds.predicates import AT_LANDMARK, Flags, StatePredicate, States
 
-CONTACT, AT_GOAL = "contact", "at-goal"
-_LANDMARK_M, _LANDMARK_DEG = 0.3, 45.0
-_GOAL_M, _GOAL_DEG = 0.5, 30.0
+CONTACT, AT_GOAL = "contact", f"{AT_LANDMARK}/goal"
 _BEGIN_M, _PASSED_M, _END_M = 0.75, 0.6, 0.3
 _CONTACT = 3
-_GOAL_POSE = slice(4, 7)
 
 
-def is_at(states: States, poses: States, *, within_m: float, within_deg: float) -> Flags:
+def _is_at(states: States, poses: States, *, within_m: float, within_deg: float) -> Flags:
     """Returns whether the robot is within a distance of poses (..., 3 or more), and within a turn of their heading."""
     turn = np.abs((states[..., 2] - poses[..., 2] + 180) % 360 - 180)
     return np.asarray((_distance(states, poses[..., :2]) <= within_m) & (turn <= within_deg))
@@ -27,9 +23,9 @@ def _is_in_contact(states: States) -> Flags:
     return np.asarray(states[..., _CONTACT] > 0)
 
 
-def _has_reached_goal(states: States) -> Flags:
+def _has_reached(goal: Pose, states: States) -> Flags:
     """The robot was not at the goal in the first state, and is now."""
-    is_there = is_at(states, states[..., _GOAL_POSE], within_m=_GOAL_M, within_deg=_GOAL_DEG)
+    is_there = _is_at_goal(states, np.array(goal))
     return np.asarray(is_there & ~is_there[:, :1])
 
 
@@ -46,14 +42,16 @@ def _distance(states: States, place: object) -> States:
     return np.asarray(np.linalg.norm(states[..., :2] - np.asarray(place), axis=-1))
 
 
+_is_at_landmark = partial(_is_at, within_m=0.3, within_deg=45.0)
+_is_at_goal = partial(_is_at, within_m=0.5, within_deg=30.0)
+
+
 def predicates_of(plan: FloorPlan) -> tuple[StatePredicate, ...]:
     """Returns the predicates of a task on a floor."""
-    is_at_landmark = partial(is_at, within_m=_LANDMARK_M, within_deg=_LANDMARK_DEG)
-    is_at_goal = partial(is_at, within_m=_GOAL_M, within_deg=_GOAL_DEG)
     return (
-        StatePredicate(AT_LANDMARK, is_at_landmark, needs_reference=True),
-        StatePredicate(AT_GOAL, is_at_goal, needs_reference=True),
+        StatePredicate(AT_LANDMARK, _is_at_landmark, needs_reference=True),
+        StatePredicate(AT_GOAL, _is_at_goal, needs_reference=True),
         StatePredicate(CONTACT, _is_in_contact),
-        StatePredicate(f"completed/{GOAL}", _has_reached_goal),
+        *(StatePredicate(f"completed/{name}", partial(_has_reached, goal)) for name, goal in plan.goals.items()),
         *(StatePredicate(f"completed/{path}", partial(_has_walked, places)) for path, places in plan.paths.items()),
     )

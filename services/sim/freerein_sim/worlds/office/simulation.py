@@ -16,7 +16,6 @@ from freerein_sim.worlds.office.rectangles import distance
 from freerein_sim.worlds.office.spec import (
     ALONG_PATH,
     FORWARD,
-    GOAL,
     LEFT,
     ROBOT_RADIUS_M,
     SPEC,
@@ -27,14 +26,14 @@ from freerein_sim.worlds.office.spec import (
 from freerein_sim.worlds.office.starts import Pose
 from freerein_sim.worlds.world import Action, GroundTruth, StepResult, check_actions, foreign_snapshot, skill_indices
 
-_LAYOUT = struct.Struct(f"<4sbB6d{generators.PACKED_BYTES}s")  # magic, skill of the recipe, contact, pose, goal, noise
+_LAYOUT = struct.Struct(f"<4sbB3d{generators.PACKED_BYTES}s")  # magic, skill of the recipe, contact, pose, noise
 _MAGIC = b"ofc1"
 _PART_M = 0.01
 """A step is divided into parts of at most this length; the robot stops before the first that touches something."""
 
 
 class OfficeWorld(MujocoWorld):
-    """A wheeled robot on a floor of an office. It has no goal but that of the recipe `goal`.
+    """A wheeled robot on a floor of an office. Only recipes have goals.
 
     Args:
         floor: Name of the floor.
@@ -45,7 +44,6 @@ class OfficeWorld(MujocoWorld):
         plan: The floor's plan.
         recipe: Recipe of the episode.
         pose: Where the robot is.
-        goal: Where it is to go; in an episode without the recipe `goal`, where it began.
         is_in_contact: Whether it has run into something, which ends the episode.
     """
 
@@ -54,13 +52,12 @@ class OfficeWorld(MujocoWorld):
         self.plan = FLOORS[floor]
         self.recipe: tuple[str, ...] = ()
         self.pose: Pose = np.zeros(3)
-        self.goal: Pose = np.zeros(3)
         self.is_in_contact = False
         self._noise = np.random.default_rng(0)
         self._starts_along_path = ALONG_PATH in conditions
 
     def reset(self, rng: np.random.Generator, *, recipe: Sequence[str] = ()) -> None:
-        """Draws a pose; with a recipe, one from which nothing is seen of the goal's view, or of the path's first.
+        """Draws a pose; with a recipe, one from which nothing is seen of the goal's view, or of the path's first one.
 
         Raises:
             InvalidInput: The recipe is unknown, or more than one skill.
@@ -68,9 +65,9 @@ class OfficeWorld(MujocoWorld):
         skill_indices(self.spec, recipe)
         check_one_skill(recipe)
         self._simulation.reset(rng)
-        self.pose, self.goal = self._draw_poses(rng, recipe)
+        self.pose = self._draw_pose(rng, *recipe)
         self.recipe, self.is_in_contact = tuple(recipe), False
-        self._noise = generators.jumped(rng)
+        self._noise = generators.generator(np.random.SeedSequence(int(rng.integers(2**63))))
         self._place_camera()
 
     def step(self, action: Action) -> StepResult:
@@ -88,39 +85,37 @@ class OfficeWorld(MujocoWorld):
 
     def truth(self) -> GroundTruth:
         """Returns the state that `state_names` names."""
-        return GroundTruth(np.concatenate([self.pose, [self.is_in_contact], self.goal]), 0.0, success=False)
+        return GroundTruth(np.append(self.pose, self.is_in_contact), 0.0, success=False)
 
     def snapshot(self) -> bytes:
         """Returns the complete state."""
         recipe = self.spec.skills.index(self.recipe[0]) if self.recipe else -1
         noise = generators.pack(self._noise)
-        return _LAYOUT.pack(_MAGIC, recipe, self.is_in_contact, *self.pose, *self.goal, noise)
+        return _LAYOUT.pack(_MAGIC, recipe, self.is_in_contact, *self.pose, noise)
 
     def restore(self, snapshot: bytes) -> None:
         """Restores a snapshot, after checking every number."""
         if len(snapshot) != _LAYOUT.size:
             raise foreign_snapshot(f"a snapshot of this world, {_LAYOUT.size} bytes")
         magic, skill, contact, *numbers, noise = _LAYOUT.unpack(snapshot)
-        poses = np.array(numbers).reshape(2, 3)
-        if magic != _MAGIC or not -1 <= skill < len(self.spec.skills) or contact > 1 or not self._are_free(poses):
+        pose = np.array(numbers)
+        if magic != _MAGIC or not -1 <= skill < len(self.spec.skills) or contact > 1 or not self._is_free(pose):
             raise foreign_snapshot()
         self._noise = generators.unpack(noise)
         self.recipe = () if skill < 0 else (self.spec.skills[skill],)
         self.is_in_contact = bool(contact)
-        self.pose, self.goal = poses
+        self.pose = pose
         self._place_camera()
 
-    def _draw_poses(self, rng: np.random.Generator, recipe: Sequence[str]) -> tuple[Pose, Pose]:
-        """Draws where the robot begins, and its goal."""
-        if tuple(recipe) == (GOAL,):
-            return starts.draw_start_and_goal(rng, self.plan)
-        if recipe and self._starts_along_path:
-            start = starts.pose_along(self.plan, recipe[0])
-        elif recipe:
-            start = starts.draw_start_of(rng, self.plan, recipe[0])
-        else:
-            start = starts.draw_pose(rng, self.plan)
-        return start, start.copy()
+    def _draw_pose(self, rng: np.random.Generator, skill: str = "") -> Pose:
+        """Draws where the robot begins."""
+        if not skill:
+            return starts.draw_pose(rng, self.plan)
+        if skill in self.plan.goals:
+            return starts.draw_start_towards(rng, self.plan, np.array(self.plan.goals[skill]))
+        if self._starts_along_path:
+            return starts.pose_along(self.plan, skill)
+        return starts.draw_start_of(rng, self.plan, skill)
 
     def _drive(self, length_m: float) -> None:
         heading = math.radians(self.pose[2])
@@ -130,10 +125,10 @@ class OfficeWorld(MujocoWorld):
         self.is_in_contact = bool(touches.any())
         self.pose[:2] = places[touches.argmax() - 1]  # the last one where none touches
 
-    def _are_free(self, poses: Pose) -> bool:
-        """Returns whether the robot can be in all of some poses, float64 (N, 3)."""
-        is_finite = bool(np.isfinite(poses).all() and (poses[:, 2] >= 0).all() and (poses[:, 2] <= 360).all())
-        return is_finite and bool((distance(self.plan.obstacles, poses[:, :2]) >= ROBOT_RADIUS_M).all())
+    def _is_free(self, pose: Pose) -> bool:
+        """Returns whether the robot can be in a pose."""
+        is_pose = bool(np.isfinite(pose).all() and 0 <= pose[2] <= 360)
+        return is_pose and bool(distance(self.plan.obstacles, pose[None, :2])[0] >= ROBOT_RADIUS_M)
 
     def _place_camera(self) -> None:
         x, y, heading = self.pose

@@ -12,7 +12,8 @@ ROBOT_RADIUS_M = 0.18
 CAMERA_HEIGHT_M, VIEW_DEG = 0.6, 60.0
 """Height of the camera, and its field of view, in both directions."""
 
-GOAL, MAZE, LOOP = "goal", "maze", "loop"
+MAZE, LOOP = "maze", "loop"
+GOALS = tuple(f"goal-{number}" for number in range(1, 11))
 ALONG_PATH = "heading-along-path"
 
 CAMERA = "first-person"
@@ -20,9 +21,9 @@ SPEC = WorldSpec(
     cameras=(Camera(CAMERA, 64, 64, 3),),
     action=ActionSpec(size=1, choices=4, names=("stand-still", "forward", "left", "right")),
     control_dt_s=0.5,
-    skills=(GOAL, MAZE, LOOP),
+    skills=(*GOALS, MAZE, LOOP),
     max_episode_steps=500,
-    state_names=("robot.x", "robot.y", "robot.heading", "contact", "goal.x", "goal.y", "goal.heading"),
+    state_names=("robot.x", "robot.y", "robot.heading", "contact"),
 )
 
 CONDITIONS = (

@@ -1,4 +1,4 @@
-"""Where episodes begin, and goals: poses that are free, and from which the goal is out of view.
+"""Where episodes begin: poses that are free, and from which the goal is out of view.
 
 Two views overlap where there is a place that both see. Only walls hide places, so that no overlap is missed.
 """
@@ -19,7 +19,7 @@ GOAL_STEPS = (20, 28)
 _JITTER_M = 0.5
 """Greatest distance of a start from the beginning of a path."""
 
-_GOAL_M, _LOOKS_M = (1.0, 2.8), 1.0
+_GOAL_M = (1.0, 2.8)
 _TRIES = 2000
 _RAYS, _SAMPLES_M = 31, np.arange(0.2, 10, 0.2)
 
@@ -43,22 +43,19 @@ def draw_start_of(rng: np.random.Generator, plan: FloorPlan, path: str) -> Pose:
     raise RuntimeError(f"no start out of view of {path}")
 
 
-def draw_start_and_goal(rng: np.random.Generator, plan: FloorPlan) -> tuple[Pose, Pose]:
-    """Draws a pose, and a goal in sight of it that is `GOAL_STEPS` away, and of which nothing is seen yet."""
+def draw_start_towards(rng: np.random.Generator, plan: FloorPlan, goal: Pose) -> Pose:
+    """Draws a pose with no wall between it and a goal, `GOAL_STEPS` away, from which nothing of its view is seen."""
     fewest, most = GOAL_STEPS
+    near = _within(plan, goal[:2], *_GOAL_M)
     for _ in range(_TRIES):
-        start = draw_pose(rng, plan)
-        near = _within(plan, start[:2], *_GOAL_M)
-        if not len(near):
-            continue
-        goal = _posed(rng, near)
+        start = _posed(rng, near)
         straight = _count_steps(np.stack([start[:2], goal[:2]]), start, goal)
-        if straight > most or not _looks_far(plan, goal) or overlap(plan.walls, start, goal):
+        if straight > most or overlap(plan.walls, start, goal):
             continue
         way = smoothed(plan.grid.way(start[:2], goal[:2]))[:: round(AHEAD_M / CELL_M)]
         if fewest <= _count_steps(np.concatenate([way, [goal[:2]]]), start, goal) <= most:
-            return start, goal
-    raise RuntimeError("no goal out of view")
+            return start
+    raise RuntimeError("no start out of view of a goal")
 
 
 def pose_along(plan: FloorPlan, path: str) -> Pose:
@@ -93,13 +90,6 @@ def _posed(rng: np.random.Generator, places: Places) -> Pose:
     """Returns one of the grid's places, moved within its cell, in any direction."""
     place = places[rng.integers(len(places))] + rng.uniform(-CELL_M / 2, CELL_M / 2, 2)
     return np.append(place, rng.uniform(0, 360))
-
-
-def _looks_far(plan: FloorPlan, pose: Pose) -> bool:
-    """Returns whether nothing is closer than `_LOOKS_M` in the direction of a pose: a bare wall is no goal."""
-    heading = math.radians(pose[2])
-    ahead = pose[:2] + _LOOKS_M * np.array([math.cos(heading), math.sin(heading)])
-    return bool(is_visible(plan.obstacles, pose[:2], ahead[None])[0])
 
 
 def _within(plan: FloorPlan, place: Places, least_m: float, most_m: float) -> Places:
