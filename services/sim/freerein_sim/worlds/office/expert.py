@@ -51,16 +51,18 @@ class OfficeExpert:
         return not self._world.is_in_contact and self._choose() is None
 
     def _choose(self) -> int | None:
+        """Returns the next choice; None at the end."""
         x, y, heading = self._world.pose
         place = np.array([x, y])
         aim = self._aim(place)
         if self._passed + _AHEAD >= len(self._way) - 1 and np.linalg.norm(self._way[-1] - place) <= _THERE_M:
-            if self._heading is None or abs(turn_deg(heading, self._heading)) <= _THERE_DEG:
+            off = 0.0 if self._heading is None else turn_deg(heading, self._heading)
+            if abs(off) <= _THERE_DEG:
                 return None
-            return LEFT if turn_deg(heading, self._heading) > 0 else RIGHT
-        off = turn_deg(heading, direction_deg(place, aim))
-        if abs(off) <= self._turning:
-            return FORWARD
+        else:
+            off = turn_deg(heading, direction_deg(place, aim))
+            if abs(off) <= self._turning:
+                return FORWARD
         return LEFT if off > 0 else RIGHT
 
     def _aim(self, place: Places) -> Places:

@@ -1,11 +1,11 @@
 """The four floors: two to explore, one that validates, and one of the claims. No two share a texture."""
 
 from freerein_sim.worlds.office.furniture import Piece
-from freerein_sim.worlds.office.plan import FloorPlan, Pose
+from freerein_sim.worlds.office.plan import FloorPlan, GoalPose
 from freerein_sim.worlds.office.spec import GOALS, LOOP, MAZE
 
 
-def _numbered(*goals: Pose) -> dict[str, Pose]:
+def _numbered(*goals: GoalPose) -> dict[str, GoalPose]:
     """Returns goals by skill."""
     return dict(zip(GOALS, goals, strict=True))
 

@@ -34,7 +34,7 @@ _HUNG = {"window": (1.0, 0.8, 2.0), "poster": (0.7, 0.7, 1.6), "door": (0.8, 0.0
 Point = tuple[float, float]
 """x and y in metres."""
 
-Pose = tuple[float, float, float]
+GoalPose = tuple[float, float, float]
 """x and y in metres, heading in degrees."""
 
 
@@ -54,7 +54,7 @@ class FloorPlan:
     rows: Sequence[str]
     furniture: Sequence[Piece]
     paths: Mapping[str, Sequence[Point]]
-    goals: Mapping[str, Pose]
+    goals: Mapping[str, GoalPose]
 
     @property
     def size_m(self) -> Point:
@@ -86,14 +86,7 @@ class FloorPlan:
     def boxes(self) -> Iterator[Box]:
         """Yields all that is drawn: floors, ceiling, walls, what hangs on them, and furniture."""
         rng = np.random.default_rng(self.seed)
-        width, depth = self.size_m
-        yield Box((0, 0, CEILING_M), (width, depth, CEILING_M + WALL_M), "ceiling")
-        for number, row in enumerate(self.rows):
-            south = depth - (number + 1) * SQUARE_M
-            for room, squares in groupby(enumerate(row.lower()), key=lambda square: square[1]):
-                columns = [column for column, _ in squares]
-                west, east = columns[0] * SQUARE_M, (columns[-1] + 1) * SQUARE_M
-                yield Box((west, south, -WALL_M), (east, south + SQUARE_M, 0), f"floor-{room}")
+        yield from self._floors_and_ceiling()
         posters = 0
         for wall in self._walls():
             yield wall.box(0, CEILING_M, f"wall-{wall.room}")
@@ -103,6 +96,17 @@ class FloorPlan:
                 yield Box(hung.low, hung.high, texture)
         for piece in self.furniture:
             yield from piece.boxes()
+
+    def _floors_and_ceiling(self) -> Iterator[Box]:
+        """Yields the floor of each room, row by row, and one ceiling."""
+        width, depth = self.size_m
+        yield Box((0, 0, CEILING_M), (width, depth, CEILING_M + WALL_M), "ceiling")
+        for number, row in enumerate(self.rows):
+            south = depth - (number + 1) * SQUARE_M
+            for room, squares in groupby(enumerate(row.lower()), key=lambda square: square[1]):
+                columns = [column for column, _ in squares]
+                west, east = columns[0] * SQUARE_M, (columns[-1] + 1) * SQUARE_M
+                yield Box((west, south, -WALL_M), (east, south + SQUARE_M, 0), f"floor-{room}")
 
     def _walls(self) -> Iterator["_Wall"]:
         """Yields the walls of each room, inside it, each as long as it is straight."""

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from freerein_sim.worlds.office.plan import FloorPlan, Point, Pose
+from freerein_sim.worlds.office.plan import FloorPlan, GoalPose, Point
 from freerein_sim.worlds.predicates import AT_LANDMARK, Flags, StatePredicate, States
 
 CONTACT, AT_GOAL = "contact", f"{AT_LANDMARK}/goal"
@@ -23,7 +23,7 @@ def _is_in_contact(states: States) -> Flags:
     return np.asarray(states[..., _CONTACT] > 0)
 
 
-def _has_reached(goal: Pose, states: States) -> Flags:
+def _has_reached(goal: GoalPose, states: States) -> Flags:
     """The robot was not at the goal in the first state, and is now."""
     is_there = _is_at_goal(states, np.array(goal))
     return np.asarray(is_there & ~is_there[:, :1])
