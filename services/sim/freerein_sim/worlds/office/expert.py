@@ -36,8 +36,9 @@ class OfficeExpert:
         (skill,) = tuple(skills) or world.recipe or (str(rng.choice(world.spec.skills)),)
         (self._skill,) = skill_indices(world.spec, [skill])
         self._turning = rng.uniform(*_TURNING_DEG)
-        *_, self._heading = world.plan.goals.get(skill, (None,))
-        places = [world.plan.goals[skill][:2]] if skill in world.plan.goals else world.plan.paths[skill]
+        goal = world.plan.goals.get(skill)
+        self._heading = None if goal is None else goal[2]
+        places = world.plan.paths[skill] if goal is None else [goal[:2]]
         self._way = self._plan(np.array(places), rng)
         self._passed = 0
 
