@@ -14,7 +14,7 @@ import numpy as np
 from experiments.robustness import language
 from experiments.robustness.evaluated import evaluate, flagged
 from experiments.robustness.language import SIDES
-from experiments.robustness.worlds import CURRICULUM, DEMONSTRATED, NOMINAL
+from experiments.robustness.worlds import CURRICULUM, DEMONSTRATED, NEAR, NOMINAL
 from experiments.workbench.arms import Arm
 from experiments.workbench.pipelines import Step, Trials, fit_step, step
 from experiments.workbench.results import Outcome, Sample
@@ -27,7 +27,8 @@ RETURN_ALL, RETURN_WRONG_ORDER = "return.all", "return.wrong-order"
 
 GOAL_CLONING, GOAL_CLONING_AUGMENTED, GOAL_CONDITIONED = "goal_cloning", "goal_cloning_augmented", "goal_conditioned"
 SKILLS, SKILLS_AUGMENTED, EXPERT = "skills", "skills_augmented", "expert"
-PPO, PPO_OWN_STARTS, PPO_PRACTICE = "ppo_training", "ppo_own_starts", "ppo_practice"
+PPO, PPO_NEAR = "ppo_training", "ppo_near"
+PPO_OWN_STARTS, PPO_PRACTICE = "ppo_own_starts", "ppo_practice"
 PPO_AUGMENTED = "ppo_augmented"
 LANGUAGE, LANGUAGE_DONE, LANGUAGE_DONE_AT_ONCE = "language", "language_done", "language_done_at_once"
 PPO_SPEED = "ppo_speed"
@@ -41,6 +42,7 @@ _STARTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         PPO: {"conditions": [CURRICULUM], "augmentation": 0.0},
         PPO_AUGMENTED: {"conditions": [CURRICULUM]},
+        PPO_NEAR: {"conditions": [NEAR], "augmentation": 0.0},
         PPO_OWN_STARTS: {"conditions": [], "augmentation": 0.0},
         PPO_PRACTICE: {"conditions": [], "practice_share": 0.5, "augmentation": 0.0},
     }
@@ -251,6 +253,7 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
         EXPERT: PolicyArm(_expert_recipes, _samples(_recipe_samples)),
         PPO: _REINFORCED,
         PPO_AUGMENTED: _REINFORCED,
+        PPO_NEAR: _REINFORCED,
         PPO_OWN_STARTS: _REINFORCED,
         PPO_PRACTICE: _REINFORCED,
         LANGUAGE: PolicyArm(language.obey, _samples(language.sentence_samples)),

@@ -306,6 +306,7 @@ TARGETS = (
             method=method,
         )
         for method, begin in (
+            (policies.PPO_NEAR, "as the task does, in half of them with the gripper near the block"),
             (policies.PPO_OWN_STARTS, "as the task does"),
             (policies.PPO_PRACTICE, "as the task does, and some where others were on their way to a reward"),
         )

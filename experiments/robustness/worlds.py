@@ -16,7 +16,7 @@ NOMINAL = "nominal"
 BLOCKS = ("blocks-2", "blocks-4")
 """Numbers of blocks of the scenes, each a condition beside another."""
 
-CURRICULUM = "start-on-the-way"
+CURRICULUM, NEAR = "start-on-the-way", "start-near"
 """A condition to learn under: no policy need hold under it."""
 
 
@@ -27,7 +27,7 @@ DISTRACTORS = ("ball", "picture")
 @cache
 def conditions(task: str) -> tuple[str, ...]:
     """Returns `NOMINAL`, then what a task declares but distractors; of numbers of blocks those `blocks` differs in."""
-    declared = [each for each in tasks()[task].conditions if each.name not in (CURRICULUM, *DISTRACTORS)]
+    declared = [each for each in tasks()[task].conditions if each.name not in (CURRICULUM, NEAR, *DISTRACTORS)]
     counts = {"blocks-2", "blocks-3"} if task == DEMONSTRATED else set()
     return (NOMINAL, *(each.name for each in declared if each.group != "blocks" or each.name in counts))
 

@@ -60,7 +60,7 @@ def _make_goal(spec: WorldSpec, goal: BlockGoal, conditions: Collection[str] = (
         goal=goal,
         count=variation.blocks,
         interval_m=initial_states.UNSEEN_M if variation.is_start_unseen else initial_states.SEEN_M,
-        is_on_the_way=variation.is_start_on_the_way,
+        begins=variation.begins,
     )
     return simulation.BlocksWorld(spec, colours, draw, variation, goal=goal, make_expert=expert.BlocksExpert)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -76,6 +77,10 @@ class InitialState:
     gripper: GripperState
 
 
+Begin = Literal["own", "near", "held"]
+"""How an episode of a goal task begins: as the task has it, with the gripper on its way to the block that the goal moves,
+or with that block in the gripper, anywhere."""
+
 InitialStateSampler = Callable[[np.random.Generator, Sequence[str]], InitialState]
 """Draws an initial state in which the blocks of some colours, at least, are on show."""
 
@@ -100,12 +105,12 @@ def pair(
     goal: BlockGoal,
     count: int = 2,
     interval_m: float = SEEN_M,
-    is_on_the_way: bool = False,
+    begins: Sequence[Begin] = (),
 ) -> InitialState:
     """Returns a goal's two blocks on the table, apart, in either order, and bystanders of drawn colours.
 
     Each of the two lies within an interval of that width. Bystanders stand where the expert needs no room. The blocks
-    of a goal are always on show, whatever is wanted. For a curriculum of starts the gripper may begin on its way.
+    of a goal are always on show, whatever is wanted. One of `begins` is drawn, for a curriculum of starts.
     """
     goal_blocks = [COLOURS.index(goal.first), COLOURS.index(goal.second)]
     while True:
@@ -123,22 +128,19 @@ def pair(
             shown = rng.permutation(others)[: count - 2]
             blocks[shown] = np.stack([(0, y, BLOCK_M / 2) for y in bystanders])
         drawn = InitialState(blocks, start.gripper)
-        return _on_the_way(rng, drawn, goal_blocks[0]) if is_on_the_way else drawn
+        return _begun(rng, drawn, goal_blocks[0], begins[rng.integers(len(begins))]) if begins else drawn
 
 
-def _on_the_way(rng: np.random.Generator, start: InitialState, first: int) -> InitialState:
-    """Returns a state on the way from `start` to a goal whose block `first` is moved, for a curriculum of starts.
-
-    In a third each the start itself, the gripper on its way to the block, and the block in the gripper, anywhere.
-    """
-    blocks = start.blocks.copy()
+def _begun(rng: np.random.Generator, own: InitialState, first: int, begin: Begin) -> InitialState:
+    """Returns how an episode begins, given the task's own state and the number of the block that its goal moves."""
+    blocks = own.blocks.copy()
     others = np.delete(blocks, first, axis=0)
     others = others[others[:, 0] == 0, 1:]  # not the hidden ones
-    match rng.integers(3):
-        case 0:
-            return start
-        case 1:
-            return InitialState(blocks, _approaching(rng, blocks[first, 1:], others, start.gripper))
+    match begin:
+        case "own":
+            return own
+        case "near":
+            return InitialState(blocks, _approaching(rng, blocks[first, 1:], others, own.gripper))
     while True:
         block = rng.uniform(_LOW_M, _HIGH_M)
         gripper = _grasp(rng, block[None])

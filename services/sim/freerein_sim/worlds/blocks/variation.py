@@ -14,6 +14,7 @@ from freerein_sim.worlds.conditions import (
     light_scale,
 )
 
+_NEAR = "in half of the episodes the gripper is near the first block"
 _ON_THE_WAY = "in two of three episodes the gripper is near the first block or holds it"
 _SEEN: dict[Condition, dict[str, Any]] = {
     CAMERA_SHIFTED: {"camera_shift_m": CAMERA_SHIFT_M},
@@ -31,7 +32,8 @@ _SPEEDS: dict[Condition, dict[str, Any]] = {
 }
 _STARTS: dict[Condition, dict[str, Any]] = {
     Condition("start-unseen", "start", "each block begins within twice the interval"): {"is_start_unseen": True},
-    Condition("start-on-the-way", "start", _ON_THE_WAY): {"is_start_on_the_way": True},
+    Condition("start-near", "start", _NEAR): {"begins": ("own", "near")},
+    Condition("start-on-the-way", "start", _ON_THE_WAY): {"begins": ("own", "near", "held")},
 }
 _DISTRACTORS: dict[Condition, dict[str, Any]] = {
     Condition(
@@ -60,7 +62,7 @@ class Variation:
         camera_shift_m: How far each camera is moved.
         camera_turn_deg: How far each camera is turned.
         is_start_unseen: Whether blocks begin within the wider interval.
-        is_start_on_the_way: Whether episodes may begin near the first block, or holding it.
+        begins: How episodes may begin, of `initial_states.Begin`; empty for as the task has it.
         speed: Factor of the expert's speed of travel.
         distractor: Kind of the distractor that is shown; empty for none.
     """
@@ -71,7 +73,7 @@ class Variation:
     camera_shift_m: float = 0.0
     camera_turn_deg: float = 0.0
     is_start_unseen: bool = False
-    is_start_on_the_way: bool = False
+    begins: tuple[str, ...] = ()
     speed: float = 1.0
     distractor: str = ""
 
