@@ -127,7 +127,7 @@ def served_policy(
     spec = PolicyInterface.of_served(reply)
     check_task(spec, task)
     pool = closing.enter_context(ThreadPoolExecutor(_MAX_THREADS, thread_name_prefix="act"))
-    hold = np.zeros((1, spec.action_size), np.int64 if spec.action_choices else np.float32)
+    hold = np.maximum(task.action.hold_action(), 0)[None]  # the first choice where none holds
 
     def start(session: PolicySession) -> BatchPolicy:
         requests = [

@@ -20,7 +20,7 @@ def spec_of(paths: Collection[str]) -> WorldSpec:
     """Returns the spec of a task with these paths."""
     return WorldSpec(
         cameras=(Camera("first-person", 42, 42, 1),),
-        action=ActionSpec(size=1, choices=4, names=("no-op", "forward", "left", "right")),
+        action=ActionSpec(size=1, choices=4, names=("no-op", "forward", "left", "right"), hold=NO_OP),
         control_dt_s=TICS / TICS_PER_S,
         skills=tuple(paths),
         max_episode_steps=525,
