@@ -163,7 +163,7 @@ class Robot:
         return Observation((images.encode(self._frame, encoding="raw_rgb8", camera=self.cameras[0].name),))
 
     def hold(self) -> Action:
-        """Returns an action, (A,), that keeps the robot where it is: no change, a choice, or of targets its own place."""
+        """Returns an action, (A,), that holds the robot: no change, a choice, or of targets its own place."""
         return self.action.hold_action()
 
     async def execute(self, action: Action) -> None:

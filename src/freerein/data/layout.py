@@ -128,7 +128,7 @@ def integer_fps(control_dt_s: float) -> int:
 
 
 def dumps(spec: DatasetSpec) -> str:
-    """Returns a spec as JSON; what came later is left out where it adds nothing, so that data files keep their bytes."""
+    """Returns a spec as JSON, without later additions that say nothing, so that data files keep their bytes."""
     document = asdict(spec)
     if spec.control_dt_s == 1 / spec.fps:
         del document["control_dt_s"]

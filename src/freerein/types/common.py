@@ -148,7 +148,7 @@ class ActionSpec:
         return np.full(self.size, -1 if self.choices else 0, self.dtype)
 
     def hold_action(self) -> npt.NDArray[Any]:
-        """Returns the action that holds: zeros, float32 (size,), or the choice `hold`, int64 (1,), -1 where there is none.
+        """Returns the action that holds: zeros, float32 (size,), or the choice `hold`, int64 (1,), -1 for none.
 
         Absolute actions hold by the last of them, and not by zeros.
         """

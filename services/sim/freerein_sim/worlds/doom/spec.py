@@ -4,6 +4,7 @@ from collections.abc import Collection
 
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.conditions import Condition
+from freerein_sim.worlds.repeated_choices import Repeats
 from freerein_sim.worlds.world import WorldSpec
 
 TICS = 4
@@ -11,6 +12,9 @@ TICS = 4
 
 TICS_PER_S = 35
 NO_OP, FORWARD, LEFT, RIGHT = range(4)
+EXPLORATION = (Repeats(0.05, 2), *(Repeats(0.95 / 3, 5) for _ in (FORWARD, LEFT, RIGHT)))
+"""How the choices are drawn in exploration, and for how many actions each is repeated (appendix A)."""
+
 ENGINE_HEIGHT, ENGINE_WIDTH = 120, 160
 ALONG_PATH = "heading-along-path"
 _START = "start-room-"
