@@ -1,7 +1,7 @@
 """Perfect switching between goal images, by true states: a ceiling of policies that follow them, for evaluation only.
 
-The policy is given the next goal as soon as it truly is at the present one. Its own flag ends no goal: each goal is
-given twice, and where the policy goes on to the second, it begins anew with both.
+The policy is given the next goal as soon as it truly is at the present one, or has used up its steps. Its own flag ends
+no goal: each goal is given twice, and where the policy goes on to the second, it begins anew with both.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,27 +26,32 @@ class TrueSwitching:
         goals: The goals of each environment, in order, each of one moment.
         is_at: Returns which environments are at a goal, bool (N,), given their true states, float64 (N, S), and the
             goal of each, int64 (N,).
+        max_steps: Actions after which a goal is abandoned.
 
     Attributes:
-        index: int64 (N,), goals that were reached.
+        index: int64 (N,), goals that are over, reached or abandoned.
     """
 
-    def __init__(self, goals: Sequence[Sequence[Goal]], is_at: IsAt) -> None:
+    def __init__(self, goals: Sequence[Sequence[Goal]], is_at: IsAt, *, max_steps: int) -> None:
         self.index: Indices = np.zeros(len(goals), np.int64)
+        self._steps: Indices = np.zeros(len(goals), np.int64)  # actions for the present goal, if it goes on
+        self._max_steps = max_steps
         self._goals = goals
         self._last = np.array([len(each) - 1 for each in goals], np.int64)
         self._is_at = is_at
 
     @property
     def goals(self) -> list[Goal]:
-        """The goal of each environment, twice; its last one where all were reached."""
+        """The goal of each environment, twice; its last one where all are over."""
         present = np.minimum(self.index, self._last).tolist()
         return [Goal(each[index].images * 2) for each, index in zip(self._goals, present, strict=True)]
 
     def tell(self, states: States) -> None:
-        """Takes the environments' true states, float64 (N, S), and goes on where they are at a goal."""
+        """Takes the environments' true states before an action, float64 (N, S), and goes on where a goal is over."""
         is_at = self._is_at(states, np.minimum(self.index, self._last))
-        self.index = self.index + (is_at & (self.index <= self._last))
+        is_over = is_at | (self._steps >= self._max_steps)
+        self.index = self.index + (is_over & (self.index <= self._last))
+        self._steps = np.where(is_over, 0, self._steps) + 1
 
     def switch(self, policy: PolicyHandle) -> PolicyHandle:
         """Returns a served policy, switched: to be run once, while `tell` is told the states before each action."""

@@ -53,7 +53,7 @@ class DemonstrationsConfig(PolicyConfig):
         steps_per_landmark: Steps after which a landmark is abandoned; 0 for the model's own limit.
         length_factor: A trial lasts so many times as long as its demonstration.
         switching: By the `policy`'s own flag, or by the `truth`, a ceiling: the next landmark is its goal once it truly
-            is at the present one.
+            is at the present one, or has used up its steps.
     """
 
     form: Literal["demonstrations"] = "demonstrations"
@@ -132,7 +132,7 @@ class DemonstrationsEvaluation:
             there = [each.states[n][None] for each, n in zip(shown, index.tolist(), strict=True)]
             return np.concatenate(truth.holds(AT_LANDMARK, [state[None] for state in states], there))
 
-        switching = TrueSwitching(landmarks, is_at)
+        switching = TrueSwitching(landmarks, is_at, max_steps=self._policy.max_steps_per_goal)
         return run(switching.switch(self._policy), goals=switching.goals, tell=switching.tell)
 
     def _outcomes(
