@@ -210,9 +210,9 @@ class TaskDefinition:
         predicates: What can be checked on true states.
         own_conditions: Conditions that its world implements.
         recipes: Draws what episodes execute.
-        explorer: Makes what explores; None for `random_policy.SmoothRandomPolicy`.
         version: Version of the world, the same for all of its tasks; raised where it behaves differently. Results name
             it: those of another version are measured again.
+        explorer: Makes what explores; None for `random_policy.SmoothRandomPolicy`.
     """
 
     name: str
@@ -223,8 +223,8 @@ class TaskDefinition:
     predicates: tuple[StatePredicate, ...] = ()
     own_conditions: tuple[Condition, ...] = ()
     recipes: RecipeSampler = field(default_factory=RandomOrder)
-    explorer: MakeExplorer | None = None
     version: int = 1
+    explorer: MakeExplorer | None = None
 
     def __post_init__(self) -> None:
         check_name(self.name, field="task")

@@ -107,9 +107,9 @@ class DemonstrationsEvaluation:
         request = setup.session(count, first, height=policy.height, width=policy.width, max_steps=steps)
         recipes = [Recipe((each.path,)) for each in shown]
         run = partial(run_episodes, setup.sim, request, interrupt=setup.interrupt, recipes=recipes, max_steps=steps)
+        followed = self._follow(run, shown)
+        episodes = [_cut(each, self._most_steps(own)) for each, own in zip(followed, shown, strict=True)]
         with truth_session(setup.sim, setup.task.name) as truth:
-            episodes = self._follow(run, shown, truth)
-            episodes = [_cut(each, self._most_steps(own)) for each, own in zip(episodes, shown, strict=True)]
             at = {judge: _at_landmarks(truth, judge, episodes, shown) for judge in self._judges}
             outcomes = self._outcomes(truth, episodes, shown)
         return [
@@ -117,9 +117,7 @@ class DemonstrationsEvaluation:
             for env in range(count)
         ]
 
-    def _follow(
-        self, run: Callable[..., Sequence[Episode]], shown: Sequence[Demonstration], truth: TruthSession
-    ) -> Sequence[Episode]:
+    def _follow(self, run: Callable[..., Sequence[Episode]], shown: Sequence[Demonstration]) -> Sequence[Episode]:
         """Returns the policy's episodes."""
         if self._setup.config.policy == "expert":
             return run(self._policy, goals=[Goal(recipe=(each.path,)) for each in shown])
@@ -128,12 +126,14 @@ class DemonstrationsEvaluation:
             goals = [Goal(tuple(chain.from_iterable(goal.images for goal in each))) for each in landmarks]
             return run(self._policy, goals=goals)
 
-        def is_at(states: npt.NDArray[np.float64], index: npt.NDArray[np.int64]) -> Flags:
-            there = [each.states[n][None] for each, n in zip(shown, index.tolist(), strict=True)]
-            return np.concatenate(truth.holds(AT_LANDMARK, [state[None] for state in states], there))
+        with truth_session(self._setup.sim, self._setup.task.name) as truth:
 
-        switching = TrueSwitching(landmarks, is_at, max_steps=self._policy.max_steps_per_goal)
-        return run(switching.switch(self._policy), goals=switching.goals, tell=switching.tell)
+            def is_at(states: npt.NDArray[np.float64], index: npt.NDArray[np.int64]) -> Flags:
+                there = [each.states[n][None] for each, n in zip(shown, index.tolist(), strict=True)]
+                return np.concatenate(truth.holds(AT_LANDMARK, [state[None] for state in states], there))
+
+            switching = TrueSwitching(landmarks, is_at, max_steps=self._policy.max_steps_per_goal)
+            return run(switching.switch(self._policy), goals=switching.goals, tell=switching.tell)
 
     def _outcomes(
         self, truth: TruthSession, episodes: Sequence[Episode], shown: Sequence[Demonstration]

@@ -45,8 +45,8 @@ def _task(name: str, doom_map: DoomMap) -> TaskDefinition:
         predicates_of(doom_map),
         start_conditions(doom_map.spots),
         RandomOrder(most=1),
-        partial(RepeatedChoices, EXPLORATION),
         VERSION,
+        partial(RepeatedChoices, EXPLORATION),
     )
 
 
