@@ -462,20 +462,14 @@ def test_demonstrations_are_followed_by_their_goal_images(evaluation: Callable[.
 @needs_engine
 @pytest.mark.e2e
 def test_the_expert_is_the_ceiling_of_its_demonstrations(evaluation: Callable[..., Any]) -> None:
-    path = {"paths": ["path-1"], "demonstration_conditions": ["heading-along-path"]}
-    figures = {}
-    for policy in ("expert", "random"):
-        run = evaluation(
-            {"form": "demonstrations", "task": "doom", "policy": policy, "length_factor": 2} | path | ROUNDS
-        )
-        assert run.do()
-        result = run.artifact("result.json")
-        check_medians(result, *(f"completion{units}" for units in ("", ".32", ".64")), "efficiency")
-        figures[policy] = {name: figure["value"] for name, figure in result["figures"].items()}
-    assert figures["expert"]["completion"] == figures["expert"]["success"] == 1
-    assert figures["expert"]["efficiency"] > 0.7  # it begins turned in any direction
-    assert figures["random"]["completion.mean"] < 0.5
-    assert figures["random"]["success"] == 0
+    shown = {"paths": ["path-5"], "demonstration_conditions": ["heading-along-path"], "length_factor": 2}
+    run = evaluation(DEMONSTRATIONS | shown | {"task": "doom", "policy": "expert", "episodes": 2, "num_envs": 2})
+    assert run.do()
+    result = run.artifact("result.json")
+    check_medians(result, *(f"completion{units}" for units in ("", ".32", ".64")), "efficiency")
+    figures = {name: figure["value"] for name, figure in result["figures"].items()}
+    assert figures["completion"] == figures["success"] == 1
+    assert figures["efficiency"] > 0.7  # it begins turned in any direction
 
 
 def check_medians(result: dict[str, Any], *names: str) -> None:
