@@ -130,7 +130,7 @@ class Controller:
         while await self._is_new.wait():
             self._is_new.clear()
             newest = self._newest
-            executed = np.array(self._executed[sent : newest.seq], np.float32).reshape(-1, robot.action.size)
+            executed = np.array(self._executed[sent : newest.seq], robot.action.dtype).reshape(-1, robot.action.size)
             sent = newest.seq  # answered or not: the service counts every observation's steps
             yield ControlRequest(observed=replace(newest, executed_actions=executed))
 
@@ -163,8 +163,8 @@ class Robot:
         return Observation((images.encode(self._frame, encoding="raw_rgb8", camera=self.cameras[0].name),))
 
     def hold(self) -> Action:
-        """Returns an action, float32 (A,), that keeps the robot where it is: no change, or of targets its own place."""
-        return np.zeros(self.action.size, np.float32)
+        """Returns an action, (A,), that holds the robot: no change, a choice, or of targets its own place."""
+        return self.action.hold_action()
 
     async def execute(self, action: Action) -> None:
         """Executes an action, float32 (A,); a robot that cuts it short writes into it what it did."""

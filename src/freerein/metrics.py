@@ -3,6 +3,7 @@
 Every metric raises InvalidInput for empty arrays, and for arrays of other shapes than its docstring names.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
@@ -135,6 +136,21 @@ def expected_calibration_error(
     members = np.minimum((confidence * bins).astype(np.int64), bins - 1)
     gaps = np.bincount(members, weights=confidence - truth, minlength=bins)  # (bins,), summed over each bin
     return float(np.abs(gaps).sum() / len(truth))
+
+
+def median_interval(values: npt.ArrayLike) -> tuple[float, float]:
+    """Returns the 95 % interval of the median of independent values (N,), by order statistics.
+
+    Its ends are the values of the ranks N / 2 - 1.96 sqrt(N) / 2 and 1 + N / 2 + 1.96 sqrt(N) / 2, rounded, and within
+    1 to N (Campbell and Gardner 1988).
+    """
+    sample = np.sort(np.asarray(values, np.float64))
+    if sample.ndim != 1 or not len(sample):
+        raise InvalidInput(f"Values must be (N,), N at least 1; got {sample.shape}.", field="values")
+    count = len(sample)
+    aside = _NORMAL_95 * math.sqrt(count) / 2
+    low, high = round(count / 2 - aside), round(1 + count / 2 + aside)
+    return float(sample[max(low, 1) - 1]), float(sample[min(high, count) - 1])
 
 
 def mean_interval(values: npt.ArrayLike, *, rng: np.random.Generator, resamples: int = 10_000) -> tuple[float, float]:

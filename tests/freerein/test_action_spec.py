@@ -1,5 +1,7 @@
 """Actions as an action space has them."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -33,3 +35,16 @@ def test_actions_take_dtype_and_bounds_of_their_space_where_that_is_no_more_than
     taken = spec.normalised(actions)
     assert taken.dtype == expected.dtype
     np.testing.assert_array_equal(taken, expected)
+
+
+@pytest.mark.parametrize(
+    ("spec", "held"),
+    [
+        (CONTINUOUS, np.zeros(2, np.float32)),
+        (replace(DISCRETE, hold=2), np.array([2])),
+        (DISCRETE, np.array([-1])),
+    ],
+)
+def test_a_robot_holds_by_zeros_or_by_the_choice_that_says_so(spec: ActionSpec, held: Array) -> None:
+    np.testing.assert_array_equal(spec.hold_action(), held)
+    assert spec.hold_action().dtype == spec.dtype

@@ -1,6 +1,7 @@
 """The layout on disk, word for word: LeRobotDataset v3.0 as its reader wants it."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from freerein.data import Dataset, DatasetSpec, create, open_writer, verify
+from freerein.data.layout import dumps
 from freerein.errors import InvalidInput
 from freerein.types.common import ActionSpec, Trajectory
 
@@ -244,3 +246,26 @@ def test_statistics_are_of_all_frames_in_lerobots_shapes(root: Path) -> None:
     actions = np.concatenate([np.linspace(-1, 1, 2 * length).reshape(length, 2) for length in (3, 4)])
     np.testing.assert_allclose(stats["action"]["std"], actions.std(axis=0), rtol=1e-6)
     assert stats["action"]["count"] == [7]
+
+
+def test_a_period_that_is_no_whole_rate_is_kept_beside_lerobots_fps(tmp_path: Path) -> None:
+    action = ActionSpec(1, 4, tuple("abcd"), hold=3)
+    spec = DatasetSpec(9, {"front": (6, 8, 3)}, action, robot_type="arm", control_dt_s=4 / 35)
+    with create(tmp_path / "exact", spec) as writer:
+        writer.append(Trajectory({"front": np.zeros((2, 6, 8, 3), np.uint8)}, np.zeros((2, 1), np.int64)))
+    shutil.rmtree(tmp_path / "exact/meta")  # the data files say it, too
+    found = Dataset(tmp_path / "exact").spec
+    assert (found.control_dt_s, found.fps, found.action.hold) == (4 / 35, 9, 3)
+
+
+def test_a_spec_without_a_period_of_its_own_keeps_its_bytes(root: Path) -> None:
+    spec = Dataset(root).spec
+    assert spec.control_dt_s == 1 / spec.fps
+    assert "control_dt_s" not in dumps(spec)
+    assert "hold" not in dumps(spec)
+
+
+@pytest.mark.parametrize("period", [0.2, 2.5, -1, float("nan")])
+def test_a_period_of_another_rate_is_refused(root: Path, period: float) -> None:
+    with pytest.raises(InvalidInput, match="control_dt_s"):
+        replace(Dataset(root).spec, control_dt_s=period)

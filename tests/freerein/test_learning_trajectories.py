@@ -26,7 +26,9 @@ def actions() -> list[npt.NDArray[np.float32]]:
 
 def make() -> Trajectories:
     tags = [("pick",), ("push",), ("pick", "push"), ("pick",)]
-    return Trajectories({"front": frames(4), "wrist": frames(6)}, actions(), tags, ["a", "b", "a", "b"])
+    ends = [np.arange(length) == length - 1 for length in LENGTHS]
+    cameras = {"front": frames(4), "wrist": frames(6)}
+    return Trajectories(cameras, actions(), tags, ["a", "b", "a", "b"], terminated=ends)
 
 
 def test_the_split_is_of_whole_trajectories_without_copying_frames() -> None:
@@ -42,6 +44,7 @@ def test_a_subset_keeps_everything_of_its_trajectories() -> None:
     part = make().subset([2, 0])
     assert part.lengths().tolist() == [4, 3]
     assert (list(part.skills), list(part.goal_texts)) == ([("pick", "push"), ("pick",)], ["a", "a"])
+    assert [each.tolist() for each in part.terminated] == [[False] * 3 + [True], [False] * 2 + [True]]
 
 
 def test_trajectories_that_are_too_short_are_left_out_of_the_split() -> None:
@@ -70,6 +73,8 @@ def test_arrays_that_do_not_fit_together_are_refused() -> None:
         Trajectories({"front": frames(4)}, actions(), [("pick",)])
     with pytest.raises(InvalidInput, match="Trajectory 3 must have as many frames as actions"):
         Trajectories({"front": [*frames(4)[:3], frames(4)[0]]}, actions())
+    with pytest.raises(InvalidInput, match="Trajectory 0 must have as many frames as actions"):
+        Trajectories({"front": frames(4)}, actions(), terminated=[np.zeros(1, bool)] * 4)
     with pytest.raises(InvalidInput, match="1 or more"):
         Trajectories({"front": []}, [])
 

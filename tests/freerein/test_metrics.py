@@ -146,3 +146,10 @@ def test_the_interval_of_a_share_stays_between_none_and_all(count: int, of: int,
     for wrong in ((0, 0), (3, 2)):
         with pytest.raises(InvalidInput):
             metrics.wilson_interval(*wrong)
+
+
+def test_the_interval_of_a_median_is_of_order_statistics() -> None:
+    assert metrics.median_interval(np.arange(250, 0, -1)) == (110, 141)
+    assert metrics.median_interval([0.5]) == (0.5, 0.5)
+    with pytest.raises(InvalidInput, match="N at least 1"):
+        metrics.median_interval([])

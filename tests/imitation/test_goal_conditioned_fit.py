@@ -9,6 +9,7 @@ from freerein.data import DatasetSpec, create, dataset_path
 from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import InvalidInput
 from freerein.learning.encoders import MomentsEncoder
+from freerein.learning.fit_dataset import FitDataset
 from freerein.types.common import ActionSpec, Camera, ModelRef, Trajectory
 from freerein_imitation.methods import METHODS
 
@@ -93,3 +94,17 @@ def test_a_method_that_there_is_not_is_refused_by_name(data_dir: Path, method: o
     with pytest.raises(InvalidInput) as error:
         METHODS.resolve(data_dir, "play", LEFT | {"method": method}, threads=1)
     assert error.value.field == "config.method"
+
+
+def test_a_policy_has_the_exact_control_period_and_the_choice_that_holds(data_dir: Path, run_fit: Any) -> None:
+    action = ActionSpec(1, 4, ("no-op", "forward", "left", "right"), hold=0)
+    spec = DatasetSpec(9, {"front": (12, 12, 1)}, action, "test", has_terminations=True, control_dt_s=4 / 35)
+    with create(dataset_path(data_dir, "walk"), spec) as writer:
+        for ends in (False, True):
+            frames, walked = np.zeros((24, 12, 12, 1), np.uint8), np.ones((24, 1), np.int64)
+            writer.append(Trajectory({"front": frames}, walked, terminated=np.arange(24) == (23 if ends else -1)))
+    policy = METHODS.load(run_fit(data_dir, "walk", TINY), "cpu")
+    assert policy.spec.control_dt_s == pytest.approx(4 / 35, rel=1e-12)
+    assert policy.spec.action == action
+    seen = FitDataset.open(data_dir, "walk").trajectories(["front"])
+    assert [each.sum() for each in seen.terminated] == [0, 1]

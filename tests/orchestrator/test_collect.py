@@ -5,14 +5,20 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import torch
 
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.data import Dataset, dataset_path
 from freerein.data.dataset_recorder import DatasetRecorder
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
+from freerein.learning.actor_critic.networks import ActorCriticSpec
+from freerein.learning.actor_critic.policy_files import save_policy
 from freerein.types.sim import DemonstrateRequest, ListTasksRequest
 from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds.collect.mix import parts_of_rounds
+from freerein_orchestrator.rl.initial_network import init_network
 
 pytestmark = pytest.mark.e2e
 COLLECT = KINDS["collect"]
@@ -118,6 +124,68 @@ def test_a_child_killed_and_a_sim_killed_leave_the_dataset_of_an_undisturbed_run
     assert Dataset(root).fingerprint == Dataset(dataset_path(tmp_path, "plain")).fingerprint
     if config is CURIOSITY:
         check_curiosity(undisturbed, Dataset(root))
+
+
+@pytest.fixture
+def walkers(collect: Callable[..., Any], tmp_path: Path) -> list[dict[str, Any]]:
+    """Parts of a mix: a policy that was never trained, greedy and sampled under conditions, and random actions."""
+    spec = ActorCriticSpec(action_choices=5, height=33, width=30, hidden_size=4, feature_size=8)
+    card = {"camera": "top", "reward": "curiosity", "supervision": "none", "figures": {"timesteps": 64}}
+    network = init_network(spec, torch.Generator().manual_seed(0))
+    network.calibrate(torch.zeros(2, 33, 30, 3, dtype=torch.uint8))
+    save_policy(network, tmp_path / "runs" / "walker" / "artifacts", card=card)
+    sampled = {"policy": "walker", "share": 25, "stochastic": True, "conditions": ["warm"]}
+    return [{"policy": "walker", "share": 40}, sampled, {"share": 35}]
+
+
+def test_a_mix_has_its_parts_in_shares_and_says_what_their_policies_learned_from(
+    collect: Callable[..., Any], walkers: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    config = {"task": "grid", "dataset": "mix", "behaviour": "mix", "count": 39, "num_envs": 2, "parts": walkers}
+    run = collect(config)
+    run.check()
+    assert run.do()
+
+    card = run.artifact("dataset.json")
+    shares = [each["timesteps"] / card["timesteps"] for each in card["parts"]]
+    assert shares == pytest.approx([0.4, 0.25, 0.35], abs=0.06)
+    assert [each["learned_timesteps"] for each in card["parts"]] == [64, 64, 0]
+    assert [each["conditions"] for each in card["parts"]] == [[], ["warm"], []]
+    dataset = Dataset(dataset_path(tmp_path, "mix"))
+    parts = np.repeat(parts_of_rounds(run.config, dataset.lengths.tolist()), 2)[: len(dataset)]
+    chosen = [{int(a) for i in np.flatnonzero(parts == part) for a in dataset.actions(i)[:, 0]} for part in range(3)]
+    assert len(chosen[0]) < len(chosen[1]) == len(chosen[2]) == 5  # the untrained one has favourites
+
+    again = collect(config | {"dataset": "again"}, name="again")
+    stops = iter([False] * 300 + [True] * 1000)
+    assert not again.do(stop=lambda: next(stops))
+    assert 0 < len(Dataset(dataset_path(tmp_path, "again"))) < 39
+    assert again.do()
+    assert Dataset(dataset_path(tmp_path, "again")).fingerprint == dataset.fingerprint
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"parts": []}, "has at least one; got 0"),
+        ({"behaviour": "random"}, "got 3 of random"),
+        ({"parts": [{"policy": "nobody"}]}, "must exist"),
+        ({"height": 20, "width": 20}, "it sees 33 x 30, and those are 20 x 20"),
+        ({"task": "pendulum"}, "same cameras and actions"),
+    ],
+)
+def test_a_mix_that_cannot_be_recorded_is_refused(
+    collect: Callable[..., Any], walkers: list[dict[str, Any]], change: dict[str, Any], match: str
+) -> None:
+    config = {"task": "grid", "dataset": "mix", "behaviour": "mix", "count": 2, "parts": walkers}
+
+    def record() -> None:
+        run = collect(config | change)
+        run.check()
+        run.do()
+
+    with pytest.raises(InvalidInput, match=match):
+        record()
 
 
 def check_curiosity(run: Any, dataset: Dataset) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import safetensors.numpy
 import torch
+from tests.engine import needs_engine
 
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.clients.tasks import find_task
@@ -26,6 +27,7 @@ from freerein_orchestrator.envs.episodes import replay, run_episodes
 from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import check_predicates
 from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds.evaluate.demonstration import efficiency, times_in_order
 from freerein_orchestrator.kinds.evaluate.form import enlarged
 from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
 from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds, known_skills, places_in_recipe
@@ -36,6 +38,8 @@ from freerein_reward.model import DualEncoder, DualEncoderSpec
 EXPLORATION = {"landmarks": 2, "spacing": 3, "steps_per_landmark": 4, "episodes": 4, "num_envs": 2}
 LANDMARKS = {"form": "landmarks", "task": "blocks", "policy": {"model": "default"}, **EXPLORATION}
 RECIPES = {"form": "recipes", "task": "blocks", "policy": {"model": "skills"}, "episodes": 2, "num_envs": 1}
+ROUNDS = {"episodes": 4, "num_envs": 2}
+DEMONSTRATIONS = {"form": "demonstrations", "task": "blocks", "policy": "random"}
 SHORT = {"skills_per_recipe": 2, "episode_steps": 80}
 RELATIONS = {"form": "relations", "task": "blocks.scatter", "episodes": 4, "num_envs": 2}
 TEXT = "a yellow block to the {} of a green block"
@@ -322,6 +326,7 @@ def test_demonstrations_are_collected_fitted_labelled_and_the_labels_measured_on
     [
         (RELATIONS | {"task": "grid"}, "captions; grid offers none"),
         (LANDMARKS | {"task": "pendulum"}, "at-landmark, object-moves; pendulum offers none"),
+        (DEMONSTRATIONS | {"task": "pendulum"}, "at-landmark; pendulum offers none"),
         (RECIPES | {"task": "pendulum"}, "with skills; pendulum has none"),
         (SEGMENTATION | {"task": "pendulum"}, "an expert and skills; pendulum lacks them"),
         ({"task": "pendulum", "policy": "expert"}, "pendulum has none"),
@@ -351,6 +356,8 @@ def test_a_task_that_lacks_predicates_is_refused_by_their_names() -> None:
         LANDMARKS | {"policy": "expert"},
         LANDMARKS | {"policy": {"model": "default", "goal_text": "a red block"}},
         RECIPES | {"policy": {"model": "skills", "recipe": ["move-red"]}},
+        DEMONSTRATIONS | {"policy": {"model": "default", "goal_text": "a red block"}},
+        DEMONSTRATIONS | {"switching": "truth"},
         {"form": "sentences", "task": "blocks", "policy": {"model": "words", "goal_text": "a red block"}},
         RELATIONS | {"policy": "random"},
         SEGMENTATION | {"smoothing": -1},
@@ -413,3 +420,67 @@ def test_a_skill_that_a_policy_never_learned_is_skipped_and_has_no_attempt() -> 
     assert known_skills(recipe, ("e",)) == ("e",)
     assert places_in_recipe(np.array([0, 1]), recipe, ("e",)).tolist() == [4, 4]  # type: ignore[union-attr]
     assert places_in_recipe(None, recipe, known) is None
+
+
+# --- demonstrations
+
+
+def test_landmarks_are_reached_in_order_and_skipped_ones_end_what_counts() -> None:
+    at = np.array([[0, 0, 1, 0, 0, 0], [1, 0, 1, 1, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 0, 0, 1, 1]], bool)
+    assert times_in_order(at) == [2, 2]
+    assert times_in_order(at[:2]) == [2, 2]
+    assert times_in_order(at[2:]) == [1, 4]
+    assert times_in_order(at[2:, :1]) == []
+
+
+def test_an_efficiency_is_of_the_way_to_the_farthest_landmark_and_at_most_one() -> None:
+    demonstrated = np.array([10, 20, 25])
+    assert efficiency(demonstrated, [15, 40]) == 0.5
+    assert efficiency(demonstrated, [5]) == 1
+    assert efficiency(demonstrated, [0]) == 1
+    assert efficiency(demonstrated, []) == 0
+
+
+@pytest.mark.e2e
+@pytest.mark.parametrize("switching", ["policy", "truth"])
+def test_demonstrations_are_followed_by_their_goal_images(evaluation: Callable[..., Any], switching: str) -> None:
+    followed = {"form": "demonstrations", "task": "blocks", "policy": {"model": "default"}, "switching": switching}
+    config = followed | {"paths": ["move-red", "move-yellow"], "every": 20, "length_factor": 1.5} | ROUNDS
+    run, again = evaluation(config), evaluation(config)
+    result = finish_after_a_stop(run)
+    check_medians(result, "completion", "efficiency")
+    paths = result["paths"]
+    assert [each["path"] for each in paths] == ["move-red", "move-yellow"]
+    assert [each["landmarks"] for each in paths] == [-(-each["steps"] // 20) for each in paths]
+    assert (result["switching"], result["model"]["name"]) == (switching, "default")
+    assert ("ended" in result["figures"]) == (switching == "policy")
+    assert again.do()
+    for name in ("completion.mean", "efficiency.mean"):
+        assert again.artifact("result.json")["figures"][name] == result["figures"][name]
+
+
+@needs_engine
+@pytest.mark.e2e
+def test_the_expert_is_the_ceiling_of_its_demonstrations(evaluation: Callable[..., Any]) -> None:
+    shown = {"paths": ["path-5"], "demonstration_conditions": ["heading-along-path"], "length_factor": 2}
+    run = evaluation(DEMONSTRATIONS | shown | {"task": "doom", "policy": "expert", "episodes": 2, "num_envs": 2})
+    assert run.do()
+    result = run.artifact("result.json")
+    check_medians(result, *(f"completion{units}" for units in ("", ".32", ".64")), "efficiency")
+    figures = {name: figure["value"] for name, figure in result["figures"].items()}
+    assert figures["completion"] == figures["success"] == 1
+    assert figures["efficiency"] > 0.7  # it begins turned in any direction
+
+
+def check_medians(result: dict[str, Any], *names: str) -> None:
+    """Checks that a result has these medians, each within its interval, and the means beside them."""
+    for name in names:
+        for figure in (result["figures"][name], result["figures"][f"{name}.mean"]):
+            assert 0 <= figure["low"] <= figure["value"] <= figure["high"] <= 1
+
+
+@pytest.mark.e2e
+def test_a_path_that_is_none_of_the_tasks_is_refused(evaluation: Callable[..., Any]) -> None:
+    with pytest.raises(InvalidInput, match=r"among the task's skills, .*; got 1 others") as error:
+        evaluation(DEMONSTRATIONS | {"paths": ["path-9"]}).do()
+    assert error.value.field == "config.paths"

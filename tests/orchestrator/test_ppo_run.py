@@ -245,9 +245,11 @@ def test_the_base_reward_is_the_grounding_models_similarity_and_its_eye_the_rewa
     assert (card["model"]["name"], card["eye"]["name"], card["privileged"]) == ("grounding", "default", False)
 
 
-def test_curiosity_learns_while_the_policy_does(ppo: Callable[..., Any]) -> None:
-    run = ppo(**GRID, reward="curiosity", iterations=1)
+@pytest.mark.parametrize("change", [{}, {"encoder": "convolutional", "recurrent": True}])
+def test_curiosity_learns_while_the_policy_does(ppo: Callable[..., Any], change: dict[str, Any]) -> None:
+    run = ppo(**GRID | change, reward="curiosity", iterations=1)
     assert run.do()
+    assert load_policy(run.folder / "artifacts", device="cpu").network.spec.encoder == run.config.encoder
     assert run.rows[0]["intrinsic_reward"] > 0
     assert run.artifact("policy.json")["supervision"] == "none"
 

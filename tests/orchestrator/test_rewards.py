@@ -13,7 +13,10 @@ from freerein_orchestrator.rewards import REWARDS
 @pytest.mark.parametrize("name", REWARDS)
 def test_only_rewards_that_declare_themselves_privileged_get_privileged_state(name: str) -> None:
     entry = REWARDS[name]
-    given = {"encoder": entry.encoder or "goal_eye", "dataset": "won" if "success_examples" in entry.sees else ""}
+    given = {
+        "encoder": "spatial" if entry.needs_eye is False else "goal_eye",
+        "dataset": "won" if "success_examples" in entry.sees else "",
+    }
     config = parse(PPORunConfig, {"task": "grid", "reward": name, **given})
     assert session_request(config).privileged == (entry.privileged and "true_rewards" in entry.sees)
     assert entry.privileged or not entry.sees & {"true_rewards", "success_examples"}

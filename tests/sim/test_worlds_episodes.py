@@ -1,12 +1,17 @@
 from contextlib import closing
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from freerein.types.common import ActionSpec
+from freerein.types.sim import DemonstrateRequest
+from freerein_sim.workers.demonstrations import make_demonstration
 from freerein_sim.worlds import blocks, grid
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode
 from freerein_sim.worlds.random_policy import SmoothRandomPolicy
-from freerein_sim.worlds.world import NO_SKILL, TaskDefinition
+from freerein_sim.worlds.repeated_choices import RepeatedChoices, Repeats
+from freerein_sim.worlds.world import NO_SKILL, LabelledAction, TaskDefinition
 
 
 def explore(task: TaskDefinition, *, seed: int, max_steps: int, cameras: tuple[str, ...] = ()) -> RecordedEpisode:
@@ -82,3 +87,41 @@ def test_exploration_is_smooth_and_reaches_the_limits() -> None:
     assert np.abs(actions).max() <= 1.0
     assert (actions.max(axis=0) > 0.95).all()
     assert (actions.min(axis=0) < -0.95).all()
+
+
+@dataclass
+class Walk:
+    """Explores until its manoeuvre begins."""
+
+    steps: int
+
+    def act(self) -> LabelledAction | None:
+        self.steps -= 1
+        return None if self.steps < 0 else LabelledAction(np.array([self.steps % 4], np.int64), NO_SKILL)
+
+    def succeeded(self) -> bool:
+        return True
+
+
+def test_a_task_names_its_explorer_and_a_trajectory_ends_where_a_manoeuvre_begins() -> None:
+    task = replace(grid.TASKS[0], explorer=lambda _action, rng: Walk(int(rng.integers(1, 6))))
+    lengths = []
+    with closing(task.make()) as world:
+        for first in range(12):
+            request = DemonstrateRequest(task.name, "random", count=12, seed=0, first=first)
+            walked = make_demonstration(task, world, request).trajectory
+            assert walked.actions[:, 0].tolist() == [step % 4 for step in reversed(range(len(walked.actions)))]
+            assert walked.terminated is not None
+            assert not walked.terminated.any()
+            lengths.append(len(walked.actions))
+    assert 3 < len(set(lengths)) <= 5
+
+
+def test_random_choices_are_repeated_as_often_as_is_said() -> None:
+    action = ActionSpec(1, 3, ("rest", "walk", "turn"))
+    policy = RepeatedChoices((Repeats(0.2, 1), Repeats(0.8, 4), Repeats(0.0, 9)), action, np.random.default_rng(0))
+    chosen = np.array([policy.act().action.item() for _ in range(20_000)])
+    assert set(chosen.tolist()) == {0, 1}
+    assert np.mean(chosen == 0) == pytest.approx(0.2 / (0.2 + 0.8 * 2.5), abs=0.01)  # a walk takes 2.5 steps
+    with pytest.raises(ValueError, match="each of 4 choices; got 1"):
+        RepeatedChoices((Repeats(1, 1),), ActionSpec(1, 4, tuple("abcd")), np.random.default_rng(0))

@@ -183,4 +183,5 @@ def dataset_spec(task: Task, *, cameras: tuple[str, ...], height: int, width: in
         skills=task.skills,
         task=task.goal_text or task.name,
         has_terminations=True,
+        control_dt_s=task.control_dt_s,
     )

@@ -55,6 +55,7 @@ class DatasetSpec:
         has_scaled_actions: Whether continuous actions are in [-1, 1]; otherwise they are in the robot's own unit.
         robot_state_size: Numbers of the robot's own state, such as joint positions; 0 where it is not kept.
         robot_state_names: Meaning of each of them; may be empty.
+        control_dt_s: Time between two actions, in seconds, of which `fps` is the rounded inverse; 0 means 1 / fps.
     """
 
     fps: int
@@ -67,11 +68,16 @@ class DatasetSpec:
     has_scaled_actions: bool = True
     robot_state_size: int = 0
     robot_state_names: tuple[str, ...] = ()
+    control_dt_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Raises InvalidInput where a value is out of range."""
         if self.fps < 1:
             raise must_be("fps", "a positive integer", self.fps)
+        object.__setattr__(self, "control_dt_s", self.control_dt_s or 1 / self.fps)
+        if integer_fps(self.control_dt_s) != self.fps:
+            rule = f"a period of {self.fps} timesteps per second, rounded to an integer"
+            raise must_be("control_dt_s", rule, f"{self.control_dt_s:g}")
         if not self.cameras:
             raise must_be("cameras", "at least one camera", "none")
         for name, (height, width, channels) in self.cameras.items():
@@ -84,6 +90,9 @@ class DatasetSpec:
         if self.action.size < 0 or (self.action.choices and self.action.size != 1):
             found = f"{self.action.size} with {self.action.choices} choices"
             raise must_be("action", "exactly one number when it is discrete, else any number of them", found)
+        if self.action.hold not in range(-1, self.action.choices):
+            rule = f"one of {self.action.choices} choices, or -1 for none"
+            raise must_be("action.hold", rule, self.action.hold)
         if self.robot_state_size < 0 or len(self.robot_state_names) not in (0, self.robot_state_size):
             found = f"{len(self.robot_state_names)} for {self.robot_state_size} numbers"
             raise must_be("robot_state_names", "a name for each number of the robot's state, or none", found)
@@ -119,8 +128,13 @@ def integer_fps(control_dt_s: float) -> int:
 
 
 def dumps(spec: DatasetSpec) -> str:
-    """Returns a spec as JSON."""
-    return json.dumps(asdict(spec), indent=2)
+    """Returns a spec as JSON, without later additions that say nothing, so that data files keep their bytes."""
+    document = asdict(spec)
+    if spec.control_dt_s == 1 / spec.fps:
+        del document["control_dt_s"]
+    if spec.action.hold == -1:
+        del document["action"]["hold"]
+    return json.dumps(document, indent=2)
 
 
 def loads(text: str | bytes) -> DatasetSpec:
@@ -138,6 +152,7 @@ def loads(text: str | bytes) -> DatasetSpec:
                 unit=str(action["unit"]),
                 scale=tuple(action["scale"]),
                 absolute=bool(action.get("absolute", False)),  # missing before there were any
+                hold=int(action.get("hold", -1)),
             ),
             robot_type=str(document["robot_type"]),
             skills=tuple(document["skills"]),
@@ -146,6 +161,7 @@ def loads(text: str | bytes) -> DatasetSpec:
             has_scaled_actions=bool(document.get("has_scaled_actions", True)),  # likewise
             robot_state_size=int(document.get("robot_state_size", 0)),
             robot_state_names=tuple(document.get("robot_state_names", ())),
+            control_dt_s=float(document.get("control_dt_s", 0.0)),
         )
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InvalidInput(

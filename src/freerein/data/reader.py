@@ -202,6 +202,21 @@ class Dataset:
         cache = self._cached("actions", parts, self.spec.action.dtype, (self.spec.action.size,))
         return cast(StepCache[np.float32] | StepCache[np.int64], cache)
 
+    def cached_terminations(self) -> StepCache[np.bool_] | None:
+        """Returns whether the episode ended after each timestep of all trajectories; None where that is not known.
+
+        Raises as `cached_actions`.
+        """
+        key = self._meta.terminated_key
+        if not key:
+            return None
+        parts = (self._terminations(index, key) for index in range(len(self)))
+        return self._cached("terminations", parts, np.dtype(np.bool_), ())
+
+    def _terminations(self, index: int, key: str) -> npt.NDArray[np.bool_]:
+        with self._named(index):
+            return decode_terminations(self._rows(index, [key]), key=key)
+
     def _actions_and_terminations(self, index: int) -> tuple[Actions, npt.NDArray[np.bool_] | None]:
         columns, key = self._meta.action_columns, self._meta.terminated_key
         with self._named(index):

@@ -56,6 +56,7 @@ class FitDataset:
             skills=self.dataset.skills if any(self.dataset.skills) else (),
             goal_texts=self.dataset.goal_texts if any(self.dataset.goal_texts) else (),
             reached=reached.read(self.root, self.dataset.lengths),
+            terminated=self.dataset.cached_terminations() or (),
         )
 
     def _check_lengths(self) -> None:

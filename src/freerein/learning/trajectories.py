@@ -35,6 +35,7 @@ class Trajectories:
         skills: The set of skills of each trajectory; empty where unknown.
         goal_texts: Goal text of each trajectory; empty where unknown.
         reached: By trajectory, bool (T,), which frames show its goal, as a reward model judges; empty where unknown.
+        terminated: By trajectory, bool (T,), whether the episode terminated after each action; empty where unknown.
 
     Raises:
         InvalidInput: There are no trajectories, one is empty, or arrays differ in their lengths.
@@ -45,9 +46,10 @@ class Trajectories:
     skills: Sequence[tuple[str, ...]] = ()
     goal_texts: Sequence[str] = ()
     reached: Sequence[npt.NDArray[np.bool_]] = ()
+    terminated: TrajectoryArrays[np.bool_] | tuple[()] = ()
 
     def __post_init__(self) -> None:
-        arrays = [*self.frames.values(), self.actions]
+        arrays = [*self.frames.values(), self.actions, *([self.terminated] if len(self.terminated) else [])]
         counts = {len(each) for each in (*arrays, *filter(None, (self.skills, self.goal_texts, self.reached)))}
         if len(counts) != 1 or 0 in counts or not self.frames:
             raise InvalidInput(
@@ -81,6 +83,7 @@ class Trajectories:
             "skills": [self.skills[item] for item in items] if self.skills else (),
             "goal_texts": [self.goal_texts[item] for item in items] if self.goal_texts else (),
             "reached": [self.reached[item] for item in items] if self.reached else (),
+            "terminated": [self.terminated[item] for item in items] if len(self.terminated) else (),
         }
         frames = {camera: [each[item] for item in items] for camera, each in self.frames.items()}
         return replace(self, frames=frames, **chosen)

@@ -1,7 +1,7 @@
 """Types that several services share: images, trajectories, cameras, actions, goals, models, timing."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -106,6 +106,7 @@ class ActionSpec:
         scale: Effect of an action of 1.0, in `unit` per control step, for each number.
         absolute: Whether a continuous action is a target, such as a joint position, and not a change. A robot then
             holds where its last action put it, and not by zeros.
+        hold: The choice of a discrete action that leaves the robot where it is; -1 where there is none.
     """
 
     size: int
@@ -114,6 +115,7 @@ class ActionSpec:
     unit: str = ""
     scale: tuple[float, ...] = ()
     absolute: bool = False
+    hold: int = field(default=-1, repr=False)  # fingerprints of worlds hash the repr
 
     @property
     def dtype(self) -> np.dtype[np.float32] | np.dtype[np.int64]:
@@ -144,6 +146,13 @@ class ActionSpec:
     def no_action(self) -> npt.NDArray[Any]:
         """Returns the previous action at the start: zeros, float32 (size,), or for discrete actions -1, int64 (1,)."""
         return np.full(self.size, -1 if self.choices else 0, self.dtype)
+
+    def hold_action(self) -> npt.NDArray[Any]:
+        """Returns the action that holds: zeros, float32 (size,), or the choice `hold`, int64 (1,), -1 for none.
+
+        Absolute actions hold by the last of them, and not by zeros.
+        """
+        return np.full(self.size, self.hold if self.choices else 0, self.dtype)
 
 
 @dataclass(frozen=True, eq=False)

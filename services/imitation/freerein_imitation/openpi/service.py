@@ -165,7 +165,7 @@ class OpenpiConnection:
     def _hold(self) -> npt.NDArray[Any]:
         """Returns actions for a robot whose goals are over, (K, A): openpi's clients cannot execute none."""
         spec = self._policy.spec
-        held = self._last_action if spec.action.absolute else spec.action.no_action()
+        held = self._last_action if spec.action.absolute else spec.action.hold_action()
         if held is None:
             raise FailedPrecondition(
                 "A robot whose actions are targets must have executed one, to hold there; it has executed none.",

@@ -69,6 +69,8 @@ def run_episodes(
     recipes: Sequence[Recipe] = (),
     cameras: Sequence[str] = (),
     max_steps: int = 0,
+    tell: Callable[[npt.NDArray[np.float64]], None] = lambda _states: None,
+    end_with_goals: bool = False,
 ) -> tuple[Episode, ...]:
     """Returns one episode per environment of a new session; the same for the same seed and policy.
 
@@ -81,6 +83,9 @@ def run_episodes(
         recipes: What each episode requires; empty for what the worlds draw.
         cameras: Cameras to record, whether the policy sees them or not. None by default: each frame is kept in memory.
         max_steps: Steps after which episodes are cut off; 0 for whole episodes.
+        tell: Called before each action with the environments' true states, float64 (N, S), of a privileged session.
+        end_with_goals: Whether the run ends after the first step at which the policy's goals are over in all of them:
+            for goals of one part each.
 
     Raises:
         ServiceError: The service or the policy failed; the episodes can be run again.
@@ -91,14 +96,18 @@ def run_episodes(
     with open_session(sim, request) as session:
         acting = policy.start(PolicySession(session, request.seed or 0, goals))
         first = sim.reset(ResetRequest(session, cameras=rendered, recipes=tuple(recipes)))
-        frames, starts = first.frames, np.ones(request.num_envs, np.bool_)
+        frames, starts, truth = first.frames, np.ones(request.num_envs, np.bool_), first.truth
         while not lengths.all() and (not max_steps or len(steps) < max_steps):
             interrupt()
+            if truth is not None:
+                tell(truth.state)
             output = acting.act(frames, starts)
             reply = sim.step(StepRequest(session, len(steps) + 1, output.actions, cameras=rendered))
             steps.append(_Step(frames, output, reply).recorded(cameras))
-            frames, starts = reply.frames, reply.terminated | reply.truncated
+            frames, starts, truth = reply.frames, reply.terminated | reply.truncated, reply.truth
             lengths[starts & (lengths == 0)] = len(steps)
+            if end_with_goals and output.goal_index is not None and output.goal_index.all():
+                break
     lengths[lengths == 0] = len(steps)
     return tuple(_episode(first.truth, steps[:length], env) for env, length in enumerate(lengths))
 

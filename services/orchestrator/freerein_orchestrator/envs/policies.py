@@ -127,14 +127,14 @@ def served_policy(
     spec = PolicyInterface.of_served(reply)
     check_task(spec, task)
     pool = closing.enter_context(ThreadPoolExecutor(_MAX_THREADS, thread_name_prefix="act"))
-    hold = np.zeros((1, spec.action_size), np.int64 if spec.action_choices else np.float32)
+    hold = np.maximum(task.action.hold_action(), 0)[None]  # the first choice where none holds
 
     def start(session: PolicySession) -> BatchPolicy:
         requests = [
             ActRequest(Observation(), goal, max_steps_per_goal=max_steps_per_goal, model=reply.model)
             for goal in session.goals
         ]
-        return _ServedPolicy(imitation, requests, hold, pool)
+        return ServedPolicy(imitation, requests, hold, pool)
 
     return PolicyHandle(
         start,
@@ -195,7 +195,7 @@ class _ExpertPolicy:
         return PolicyOutput(reply.actions, self._over)
 
 
-class _ServedPolicy:
+class ServedPolicy:
     """Calls the imitation service once per environment, concurrently, so that it batches the calls.
 
     An environment whose goals are all over holds: its last answer stays.
@@ -205,13 +205,14 @@ class _ServedPolicy:
         self, imitation: SyncClient, requests: Sequence[ActRequest], hold: Actions, pool: ThreadPoolExecutor
     ) -> None:
         self._imitation = imitation
-        self._first_requests = requests
+        self._first_requests = list(requests)
         self._hold = hold
         self._pool = pool
         self._requests = list(requests)
         self._replies: list[ActResponse | None] = [None] * len(requests)
 
     def act(self, frames: Mapping[str, Frames], episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
+        """Returns an action per environment, and how far each is, as `BatchPolicy.act`."""
         for env in np.flatnonzero(episode_starts).tolist():
             self._requests[env], self._replies[env] = self._first_requests[env], None
         observed = [{camera: frame[env] for camera, frame in frames.items()} for env in range(len(self._requests))]
@@ -227,6 +228,12 @@ class _ServedPolicy:
             np.array([reply.goal_index for reply in replies], np.int64),
             np.array([reply.goal_confidence for reply in replies], np.float64),
         )
+
+    def begin(self, env: int, goal: Goal) -> None:
+        """Gives an environment another goal; of what was before it knows the last action alone."""
+        self._first_requests[env] = replace(self._first_requests[env], goal=goal)
+        executed = self._requests[env].executed_actions
+        self._requests[env], self._replies[env] = replace(self._first_requests[env], executed_actions=executed), None
 
     def _answer(self, request: ActRequest, last: ActResponse | None, frames: Mapping[str, Frames]) -> ActResponse:
         if last is not None and not len(last.actions):

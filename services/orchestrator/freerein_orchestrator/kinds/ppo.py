@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -23,6 +23,7 @@ from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.actor_critic.policy_files import StoredPolicy, save_in_distribution, save_policy
 from freerein.learning.checkpoints import JSON, Checkpoint
+from freerein.learning.encoders import ENCODERS
 from freerein.learning.model_files import choose_device
 from freerein.types.common import Camera, ModelRef, check_name
 from freerein.types.sim import CreateSessionRequest, Task
@@ -46,6 +47,7 @@ from freerein_orchestrator.rl.state import PPOState, Prepare, from_checkpoint, i
 from freerein_orchestrator.rl.trainer import Trainer
 from freerein_orchestrator.rl.visited_frames import fit_in_distribution, visited_frames
 
+EYE = "goal_eye"
 _VISITED_ROLLOUTS = 2  # as many timesteps as in two iterations
 _FIELD, _RESUME_FIELD = "config.init_from", "config.resume_from"
 
@@ -64,9 +66,9 @@ class PPORunConfig(PPOConfig):
         dataset: Name of the dataset whose trajectories end in success, for a reward that sees such examples.
         reward_model: Name of the reward model; empty for the service's default, for `base` `grounding`. The version
             that is active when the run starts is used to its end.
-        encoder: `goal_eye`, a frozen eye for the two objects of the goal and the policy's own body, or `spatial`, an
-            image encoder that is trained with the policy. The eye has the encoder of `reward_model`; for `base`, that
-            of the service's default reward model.
+        encoder: `goal_eye`, a frozen eye for the two objects of the goal and the policy's own body, or an image encoder
+            that is trained with the policy, such as `spatial`, or `convolutional` for a camera that moves. The eye has
+            the encoder of `reward_model`; for `base`, that of the service's default reward model.
         conditions: The task's conditions that it is trained under, such as a curriculum of starts.
         action_repeat: Timesteps that each action is held for, or until the episode ends, in training and after it.
         practice_share: Share of the environments that begin a rollout in a state that an earlier episode of the
@@ -89,7 +91,7 @@ class PPORunConfig(PPOConfig):
     reward: str = one_of(REWARDS, "learned")
     dataset: str = ""
     reward_model: str = ""
-    encoder: Literal["goal_eye", "spatial"] = "goal_eye"
+    encoder: str = one_of((EYE, *ENCODERS), EYE)
     conditions: tuple[str, ...] = ()
     action_repeat: int = bounded(2, least=1, most=16)
     episode_steps: int = bounded(50, least=0, most=10_000)
@@ -106,11 +108,12 @@ class PPORunConfig(PPOConfig):
                 hint="`resume_from` goes on with a training; `init_from` begins one with its weights alone.",
             )
         entry = REWARDS[self.reward]
-        if entry.encoder not in ("", self.encoder):
+        if entry.needs_eye not in (None, self.encoder == EYE):
+            needed = (EYE,) if entry.needs_eye else tuple(ENCODERS)
             raise InvalidInput(
-                f"The reward `{self.reward}` needs the encoder `{entry.encoder}`; got `{self.encoder}`.",
+                f"The reward `{self.reward}` needs the encoder {' or '.join(needed)}; got `{self.encoder}`.",
                 field="config.encoder",
-                hint=f"--set encoder={entry.encoder}",
+                hint=f"--set encoder={'spatial' if 'spatial' in needed else EYE}",
             )
         if bool(self.dataset) != ("success_examples" in entry.sees):
             raise InvalidInput(
@@ -205,13 +208,14 @@ class _Training:
         if "success_examples" in self._entry.sees:
             open_dataset(self._context.data_dir, config.dataset)  # refuses one that is not there, before all else
         camera, goal_text = find_camera(task, config.camera), config.goal_text or task.goal_text
-        eye, encoder = self._eye(goal_text, camera) if config.encoder == "goal_eye" else (None, None)
+        eye, encoder = self._eye(goal_text, camera) if config.encoder == EYE else (None, None)
         spec = network_spec(
             config,
             observation=(camera.height, camera.width, camera.channels),
             action_size=task.action.size,
             action_choices=task.action.choices,
             eye=encoder.spec if encoder else None,
+            encoder=config.encoder,
             action_repeat=config.action_repeat,
         )
         policy = self._context.policies.load(config.init_from, field=_FIELD) if config.init_from else None

@@ -63,5 +63,5 @@ CURIOSITY = RewardEntry(
     ),
     "none",
     frozenset({"frames", "actions"}),
-    encoder="spatial",
+    needs_eye=False,
 )

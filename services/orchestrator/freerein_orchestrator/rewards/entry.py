@@ -46,7 +46,7 @@ class RewardEntry:
         supervision: What it was told and by whom, for the cards of policies.
         sees: What it is computed from.
         privileged: Whether it knows what no learner may see. Only then is it given the true rewards that it sees.
-        encoder: The policy's encoder that it needs; empty for any.
+        needs_eye: Whether the policy must see by an eye, or must not; None for either.
         resolve_model: Returns the version of the reward model that it is bound to; without a name where it needs none.
         encodes_objects: Whether an eye may have the encoder of its reward model.
     """
@@ -55,7 +55,7 @@ class RewardEntry:
     supervision: str
     sees: frozenset[Sight]
     privileged: bool = False
-    encoder: Literal["", "goal_eye", "spatial"] = ""
+    needs_eye: bool | None = None
     resolve_model: Callable[[RewardSetting], ModelRef] = lambda _: ModelRef()
     encodes_objects: bool = True
 

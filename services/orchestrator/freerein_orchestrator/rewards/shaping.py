@@ -45,5 +45,5 @@ SHAPING = RewardEntry(
     _make,
     "goal text; the reward model whose encoder locates objects saw images, noun phrases and captions made from pixels",
     frozenset({"frames", "actions"}),
-    encoder="goal_eye",
+    needs_eye=True,
 )

@@ -21,7 +21,7 @@ from torch.nn import functional
 from freerein.config import bounded
 from freerein.learning import weights
 from freerein.learning.actor_critic.networks import ActorCriticSpec
-from freerein.learning.encoders import SpatialEncoder
+from freerein.learning.encoders import ENCODERS
 from freerein.learning.optimiser import optimiser_step
 from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState
 from freerein_orchestrator.rl.errors import IterationRejected
@@ -97,14 +97,14 @@ class ICM(nn.Module):
         super().__init__()
         self._choices = spec.action_choices
         outputs = spec.action_choices or spec.action_size
-        self.image = SpatialEncoder(
+        self.image = ENCODERS[spec.encoder](
             height=spec.height, width=spec.width, channels=spec.channels, features=spec.feature_size
         )
         self.inverse = _mlp(2 * spec.feature_size, hidden_size, outputs)
         self.change = _mlp(spec.feature_size + outputs, hidden_size, spec.feature_size)
 
     @torch.no_grad()
-    def copy_calibration(self, image: SpatialEncoder) -> None:
+    def copy_calibration(self, image: nn.Module) -> None:
         """Copies the calibration of another encoder of the same frames."""
         for own, other in zip(self.image.buffers(), image.buffers(), strict=True):
             own.copy_(other)

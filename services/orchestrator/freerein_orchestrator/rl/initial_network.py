@@ -20,6 +20,7 @@ def network_spec(
     action_size: int = 1,
     action_choices: int = 0,
     eye: EyeSpec | None = None,
+    encoder: str = "spatial",
     action_repeat: int = 1,
 ) -> ActorCriticSpec:
     """Returns the network of a configuration.
@@ -30,6 +31,7 @@ def network_spec(
         action_size: Numbers per action.
         action_choices: Number of discrete actions, 0 if continuous.
         eye: The frozen eye that sees the frames, if any.
+        encoder: The image encoder that sees them without an eye.
         action_repeat: Timesteps that each action is held for.
 
     Raises:
@@ -52,6 +54,7 @@ def network_spec(
         init_log_std=config.init_log_std,
         layer_norm=config.layer_norm,
         eye=eye,
+        encoder="spatial" if eye else encoder,
         action_repeat=action_repeat,
     )
 

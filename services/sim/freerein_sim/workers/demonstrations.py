@@ -20,13 +20,15 @@ def make_demonstration(task: TaskDefinition, world: World, request: DemonstrateR
     """Returns trajectory `first` of a request, made in a world of the task.
 
     It is drawn from `SeedSequence(seed).spawn(count)[first]`. An expert that fails retries from another initial state.
+    A trajectory of random actions ends where the episode does, by a crash or after the task's number of steps, or where
+    the explorer begins a manoeuvre.
     """
     views = _views(world.spec, request)
     skills, (fewest, most) = _skills(task, world.spec, request)
     rng = _generator(request.seed, request.first)
     for _ in range(_MAX_TRIES):
         recipe = task.recipes.draw(rng, skills, fewest=fewest, most=most) if request.behaviour == "expert" else None
-        made = _act(world, recipe, views, rng)
+        made = _act(task, world, recipe, views, rng)
         if made.success:
             return _response(world.spec, request, made)
     raise FailedPrecondition(
@@ -51,13 +53,13 @@ def _generator(seed: int, index: int) -> np.random.Generator:
 
 
 def _act(
-    world: World, recipe: Sequence[str] | None, views: Sequence[Camera], rng: np.random.Generator
+    task: TaskDefinition, world: World, recipe: Sequence[str] | None, views: Sequence[Camera], rng: np.random.Generator
 ) -> RecordedEpisode:
-    """Records the expert at a recipe, or random actions where there is none."""
+    """Records the expert at a recipe, or the task's explorer where there is none."""
     if recipe is not None:
         return record_expert(world, recipe, rng, cameras=views)
     world.reset(rng)
-    policy = SmoothRandomPolicy(world.spec.action, rng)
+    policy = (task.explorer or SmoothRandomPolicy)(world.spec.action, rng)
     return record_episode(world, policy, cameras=views, max_steps=world.spec.max_episode_steps)
 
 

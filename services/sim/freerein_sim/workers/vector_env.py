@@ -168,9 +168,9 @@ class VectorEnv:
             if i not in self._experts
         }
         chosen = [self._experts[i].act() for i in range(self.num_envs)]
-        nothing = np.zeros(self.task.spec.action.size, self.task.spec.action.dtype)
+        hold = np.maximum(self.task.spec.action.hold_action(), 0)  # the first choice where none holds
         return ExpertActionsResponse(
-            actions=np.stack([nothing if each is None else each.action for each in chosen]),
+            actions=np.stack([hold if each is None else each.action for each in chosen]),
             finished=np.array([each is None for each in chosen]),
             skills=np.array([NO_SKILL if each is None else each.skill for each in chosen], np.int64),
         )

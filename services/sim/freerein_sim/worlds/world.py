@@ -116,6 +116,17 @@ class MakeExpert(Protocol):
         """
 
 
+class MakeExplorer(Protocol):
+    """Makes what acts in self-supervised exploration."""
+
+    def __call__(self, action: ActionSpec, rng: np.random.Generator, /) -> ScriptedPolicy:
+        """Returns a policy that chooses actions by `rng` alone.
+
+        Its `act` returns None where a manoeuvre begins that is no action of the robot, such as backing up after a
+        crash: the trajectory ends there. Its first call returns an action.
+        """
+
+
 class UnsavedWorld(Protocol):
     """One environment that may be unable to save its state; `worlds.replay` makes it a `World`.
 
@@ -201,6 +212,7 @@ class TaskDefinition:
         recipes: Draws what episodes execute.
         version: Version of the world, the same for all of its tasks; raised where it behaves differently. Results name
             it: those of another version are measured again.
+        explorer: Makes what explores; None for `random_policy.SmoothRandomPolicy`.
     """
 
     name: str
@@ -212,6 +224,7 @@ class TaskDefinition:
     own_conditions: tuple[Condition, ...] = ()
     recipes: RecipeSampler = field(default_factory=RandomOrder)
     version: int = 1
+    explorer: MakeExplorer | None = None
 
     def __post_init__(self) -> None:
         check_name(self.name, field="task")

@@ -2,16 +2,18 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freerein.config import bounded
+from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.distributions import Categorical, Distribution, Gaussian
 from freerein.learning.actor_critic.eye import EyeSpec, GoalEye
-from freerein.learning.encoders import SpatialEncoder
+from freerein.learning.encoders import ENCODERS
+from freerein.learning.encoders.encoder import Encoder
 
 _HIDDEN_GAIN = 2**0.5
 _ACTOR_GAIN, _CRITIC_GAIN = 0.01, 1.0
@@ -35,6 +37,7 @@ class ActorCriticSpec:
         layer_norm: Whether each hidden layer is normalised.
         eye: The frozen eye that sees the frames; None for an image encoder that is trained.
         action_repeat: Timesteps that each action is held for, by whoever acts with the policy.
+        encoder: Image encoder; unused for vectors and with an eye.
 
     Raises:
         InvalidInput: There are 2 channels, or a discrete action has more than one number, or an eye has not frames in
@@ -54,6 +57,7 @@ class ActorCriticSpec:
     layer_norm: bool = False
     eye: EyeSpec | None = None
     action_repeat: int = bounded(1, least=1, most=16)
+    encoder: str = one_of(ENCODERS, "spatial")
 
     def __post_init__(self) -> None:
         if self.channels == 2:
@@ -122,7 +126,7 @@ class ActorCritic(nn.Module):
     def calibrate(self, observations: Tensor) -> None:
         """Calibrates the image encoder on frames uint8 (N, H, W, C); does nothing for vectors."""
         if self.image is not None:
-            self.image.fit_normalisation(observations)
+            cast(Encoder, self.image).fit_normalisation(observations, generator=torch.Generator())
 
     @torch.no_grad()
     def set_log_std(self, log_std: float) -> None:
@@ -163,8 +167,9 @@ class ActorCritic(nn.Module):
         return ActorCriticOutput(actions, self.critic(features)[..., 0], recurrent_state)
 
 
-def _image_encoder(spec: ActorCriticSpec) -> SpatialEncoder:
-    return SpatialEncoder(height=spec.height, width=spec.width, channels=spec.channels, features=spec.feature_size)
+def _image_encoder(spec: ActorCriticSpec) -> nn.Module:
+    encoder = ENCODERS[spec.encoder]
+    return encoder(height=spec.height, width=spec.width, channels=spec.channels, features=spec.feature_size)
 
 
 def _eye(spec: ActorCriticSpec, eye: EyeSpec) -> GoalEye:

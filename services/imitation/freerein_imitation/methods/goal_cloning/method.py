@@ -31,7 +31,7 @@ def _prepare(source: FitDataset, config: GoalCloningConfig, device: torch.device
 def _card(source: FitDataset, learner: GoalCloningLearner, fitted: FitResult[GoalCloningNetwork]) -> dict[str, Any]:
     losses = learner.validation_losses(fitted.network)
     control = ControlSpec(
-        1 / source.dataset.spec.fps, _REACHED_THRESHOLD, _GOAL_STEPS_FACTOR * learner.config.max_goal_steps
+        source.dataset.spec.control_dt_s, _REACHED_THRESHOLD, _GOAL_STEPS_FACTOR * learner.config.max_goal_steps
     )
     figures = {name: loss.item() for name, loss in losses.items()}
     return {

@@ -58,7 +58,7 @@ def _card(source: FitDataset, learner: LanguageLearner, fitted: FitResult[Langua
     texts = sorted(set(source.dataset.goal_texts))
     threshold, figures = _reached(learner, fitted.network)
     return {
-        **ControlSpec(1 / source.dataset.spec.fps, threshold, learner.config.max_steps_per_goal).to_card(),
+        **ControlSpec(source.dataset.spec.control_dt_s, threshold, learner.config.max_steps_per_goal).to_card(),
         "figures": {**fitted.figures, "action_loss": fitted.validation_loss, **figures},
         "goal_texts": {"count": len(texts), "first": texts[:_TEXTS_IN_CARD]},
         **supervision_of(read_teachers(source.root), is_judged=learner.spec.predicts_reached),

@@ -54,7 +54,7 @@ def _card(source: FitDataset, learner: SkillCloningLearner, fitted: FitResult[Sk
         "segments": len(learner.segments),
     }
     threshold = learner.termination_threshold(fitted.network) if learner.config.ends == "head" else 1.0
-    control = ControlSpec(1 / source.dataset.spec.fps, threshold, max(limits), max_steps_per_skill=limits)
+    control = ControlSpec(source.dataset.spec.control_dt_s, threshold, max(limits), max_steps_per_skill=limits)
     observed = "images, the robot's own state" if learner.spec.robot_state_size else "images"
     return {
         **control.to_card(),

@@ -39,7 +39,7 @@ def _card(source: FitDataset, learner: SkillsLearner, fitted: FitResult[SkillsNe
         "termination_loss": losses["termination_loss"].item(),
         "segments": len(learner.segments),
     }
-    control = ControlSpec(1 / source.dataset.spec.fps, TERMINATION_THRESHOLD, generous_limit(learner.segments))
+    control = ControlSpec(source.dataset.spec.control_dt_s, TERMINATION_THRESHOLD, generous_limit(learner.segments))
     return {
         **control.to_card(),
         "figures": fitted.figures | figures,

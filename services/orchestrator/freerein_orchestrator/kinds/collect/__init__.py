@@ -5,19 +5,26 @@
 """
 
 import json
+from collections.abc import Collection
 from functools import partial
+from typing import Any
 
 from freerein.atomic_files import write_atomic
 from freerein.config import parse
 from freerein.data import Dataset, dataset_path
-from freerein_orchestrator.kinds.collect.config import CollectConfig
+from freerein_orchestrator.kinds.collect.config import PARTS_FIELD, CollectConfig
 from freerein_orchestrator.kinds.collect.curiosity import explore
+from freerein_orchestrator.kinds.collect.mix import record_mix
 from freerein_orchestrator.kinds.collect.scripted import demonstrate
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind
+from freerein_orchestrator.kinds.policy_store import PolicyStore
 
 CARD = "dataset.json"
-"""Artifact that describes the dataset: `dataset`, `task`, `conditions`, `trajectories`, `timesteps`, `fingerprint`."""
+"""Artifact that describes the dataset: `dataset`, `task`, `conditions`, `trajectories`, `timesteps`, `fingerprint`.
+
+Of a mix also `parts`, each with its options, its `timesteps`, and what its policy is and learned from.
+"""
 
 
 def run(context: RunContext, config: CollectConfig) -> None:
@@ -28,8 +35,11 @@ def run(context: RunContext, config: CollectConfig) -> None:
         ServiceError: The sim service refuses, or the dataset holds something else.
     """
     root = dataset_path(context.data_dir, config.dataset)
+    parts: list[dict[str, Any]] = []
     if config.behaviour == "curiosity":
         explore(context, config, root)
+    elif config.behaviour == "mix":
+        parts = record_mix(context, config, root)
     else:
         demonstrate(context, config, config.behaviour, root)
     dataset = Dataset(root)
@@ -40,8 +50,20 @@ def run(context: RunContext, config: CollectConfig) -> None:
         "trajectories": len(dataset),
         "timesteps": int(dataset.lengths.sum()),
         "fingerprint": dataset.fingerprint,
+        **({"parts": parts} if parts else {}),
     }
     write_atomic(context.artifacts / CARD, json.dumps(card, indent=2).encode())
 
 
-KIND = Kind({"": CollectConfig}, partial(parse, CollectConfig), steps=lambda config: config.count, run=run)
+def check(config: CollectConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+    """Checks that the policies of a mix exist or will.
+
+    Raises:
+        InvalidInput: One does not.
+    """
+    for part in config.mix:
+        if not part.is_random and part.policy not in earlier:
+            store.folder(part.policy, field=PARTS_FIELD)
+
+
+KIND = Kind({"": CollectConfig}, partial(parse, CollectConfig), steps=lambda config: config.count, run=run, check=check)

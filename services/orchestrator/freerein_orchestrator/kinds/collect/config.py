@@ -1,11 +1,37 @@
 """Configuration of a run that collects."""
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
-from freerein.config import bounded
+from freerein.config import bounded, parse
 from freerein.errors import InvalidInput
 from freerein.types.common import check_name
+
+RANDOM = "random"
+PARTS_FIELD = "config.parts"
+
+
+@dataclass(frozen=True)
+class MixPart:
+    """A part of a mix.
+
+    Attributes:
+        policy: A ppo run's id, an earlier step of the pipeline, or a policy among the models of the orchestrator;
+            `random` for the task's random behaviour.
+        share: Its share of the timesteps, in proportion to those of the other parts.
+        stochastic: Whether the policy's actions are sampled; else the most likely one is taken.
+        conditions: Conditions of the task, besides those of the whole mix.
+    """
+
+    policy: str = RANDOM
+    share: float = bounded(1.0, least=1e-6, most=1e6)
+    stochastic: bool = False
+    conditions: tuple[str, ...] = ()
+
+    @property
+    def is_random(self) -> bool:
+        """Whether it is the task's random behaviour."""
+        return self.policy == RANDOM
 
 
 @dataclass(frozen=True)
@@ -15,7 +41,8 @@ class CollectConfig:
     Attributes:
         task: The task's name.
         dataset: The dataset's name; an unfinished one of the same configuration is continued.
-        behaviour: `expert` and `random` are scripted; `curiosity` learns to reach what it cannot yet predict.
+        behaviour: `expert` and `random` are scripted; `curiosity` learns to reach what it cannot yet predict; `mix` are
+            the `parts`.
         count: Trajectories in the finished dataset.
         seed: Seed of every random draw.
         skills: The skills that the expert chooses from; empty for all of the task.
@@ -25,16 +52,17 @@ class CollectConfig:
         height: Frame height in pixels; 0 means the camera's own.
         width: Frame width in pixels; 0 means the camera's own.
         length: Curiosity's rollout length, and so its longest trajectory, in timesteps.
-        num_envs: Curiosity's number of parallel environments.
+        num_envs: Parallel environments of curiosity and of a mix, and the number of trajectories in a row of a part.
         conditions: Conditions of the task, named variations; empty for the nominal task.
+        parts: Of a mix, objects with `policy`, `share`, `stochastic` and `conditions`; see below.
 
     Raises:
-        InvalidInput: The dataset's name is invalid, or a behaviour is given options of another.
+        InvalidInput: The dataset's name or a policy's is invalid, or a behaviour is given options of another.
     """
 
     task: str
     dataset: str
-    behaviour: Literal["expert", "random", "curiosity"] = "expert"
+    behaviour: Literal["expert", "random", "curiosity", "mix"] = "expert"
     count: int = bounded(100, least=1, most=1_000_000)
     seed: int = bounded(0, least=0, most=2**31 - 1)
     skills: tuple[str, ...] = ()
@@ -46,9 +74,19 @@ class CollectConfig:
     length: int = bounded(50, least=2, most=1000)
     num_envs: int = bounded(8, least=1, most=64)
     conditions: tuple[str, ...] = ()
+    parts: tuple[dict[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
         check_name(self.dataset, field="config.dataset")
+        if bool(self.parts) != (self.behaviour == "mix"):
+            raise InvalidInput(
+                f"`parts` are of the behaviour mix, which has at least one; got {len(self.parts)} of {self.behaviour}.",
+                field=PARTS_FIELD,
+                hint='--set behaviour=mix --set \'parts=[{"policy": "ID", "share": 2}, {"policy": "random"}]\'',
+            )
+        object.__setattr__(self, "parts", tuple(map(asdict, self.mix)))  # defaults filled in
+        for part in self.mix:
+            check_name(part.policy, field=PARTS_FIELD)
         if self.behaviour != "expert" and (self.skills or self.min_skills or self.max_skills):
             raise InvalidInput(
                 f"Only the expert executes skills; `skills`, `min_skills` and `max_skills` must be left out where the "
@@ -62,3 +100,8 @@ class CollectConfig:
                 field="config.cameras",
                 hint="Name one, or leave them out for the task's first.",
             )
+
+    @property
+    def mix(self) -> tuple[MixPart, ...]:
+        """The parts."""
+        return tuple(parse(MixPart, part) for part in self.parts)

@@ -56,6 +56,7 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
     spec = dataset_spec(task, cameras=config.cameras, height=config.height, width=config.width)
     ((camera, frame),) = spec.cameras.items()
     inputs: dict[str, JSON] = {**json.loads(json.dumps(asdict(config))), "sims": len(sims)}
+    del inputs["parts"]  # of mixes alone
     ppo, make_rewards = _ppo_config(config), partial(_make_rewards, config)
 
     def open_envs(snapshots: Sequence[bytes]) -> EnvGroups[RemoteVectorEnv]:

@@ -134,6 +134,7 @@ class _Recording:
             action=action,
             robot_type=self._tasks[0].world,
             has_terminations=True,
+            control_dt_s=control_dt_s,
         )
         return open_writer(self._root) if self._root.is_dir() else create(self._root, spec)
 

@@ -1,7 +1,7 @@
 """Kind `evaluate`: measures policies and models against true states, which only an evaluation may see.
 
-`record.py` says what is on disk. A form is one module: `returns`, `sentences`, `landmarks`, `recipes`,
-`relations`, `segmentation`.
+`record.py` says what is on disk. A form is one module: `returns`, `sentences`, `landmarks`, `demonstrations`,
+`recipes`, `relations`, `segmentation`.
 """
 
 from collections.abc import Collection, Mapping
@@ -14,7 +14,15 @@ from freerein.clients.tasks import find_task
 from freerein.config import parse
 from freerein.errors import InvalidInput
 from freerein_orchestrator.kinds.context import RunContext
-from freerein_orchestrator.kinds.evaluate import landmarks, recipes, relations, returns, segmentation, sentences
+from freerein_orchestrator.kinds.evaluate import (
+    demonstrations,
+    landmarks,
+    recipes,
+    relations,
+    returns,
+    segmentation,
+    sentences,
+)
 from freerein_orchestrator.kinds.evaluate.form import Form, FormConfig, Setup
 from freerein_orchestrator.kinds.evaluate.record import TrialRecord
 from freerein_orchestrator.kinds.kind import Kind
@@ -25,6 +33,7 @@ FORMS: Mapping[str, Form[Any]] = {
     "returns": returns.FORM,
     "sentences": sentences.FORM,
     "landmarks": landmarks.FORM,
+    "demonstrations": demonstrations.FORM,
     "recipes": recipes.FORM,
     "relations": relations.FORM,
     "segmentation": segmentation.FORM,

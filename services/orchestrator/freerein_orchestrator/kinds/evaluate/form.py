@@ -11,7 +11,7 @@ from freerein.clients import SyncClient
 from freerein.clients.tasks import find_camera
 from freerein.config import bounded
 from freerein.errors import InvalidInput
-from freerein.metrics import mean_interval, ratio_interval
+from freerein.metrics import mean_interval, median_interval, ratio_interval
 from freerein.types.common import Camera
 from freerein.types.sim import CreateSessionRequest, Recipe, Task
 from freerein_orchestrator.envs.episodes import derive_seed, replay
@@ -239,6 +239,11 @@ def mean_figure(values: Sequence[float], *, seed: int, baseline: float | None = 
     """Returns the mean of a number per trial."""
     low, high = mean_interval(values, rng=np.random.default_rng(seed))
     return Figure(float(np.mean(values)), low, high, baseline)
+
+
+def median_figure(values: Sequence[float]) -> Figure:
+    """Returns the median of a number per trial, with the interval of its order statistics."""
+    return Figure(float(np.median(values)), *median_interval(values))
 
 
 def ratio_figure(part: npt.ArrayLike, whole: npt.ArrayLike, *, seed: int, baseline: float | None = None) -> Figure:

@@ -22,6 +22,7 @@ def describes_itself(task: TaskDefinition) -> None:
     require(spec.control_dt_s > 0 and spec.max_episode_steps > 0, "Time goes forward.")
     require(len(action.names) == (action.choices or action.size), "Every number, or every choice, has a name.")
     require(action.size == 1 or not action.choices, "A discrete action is one number.")
+    require(action.hold in range(-1, action.choices), "What holds is one of the choices, or -1.")
     require(bool(action.choices) or len(action.scale) == action.size, "A continuous action has a scale.")
     with closing(task.make()) as world:
         require(world.spec == spec, "The world's spec is the task's.")

@@ -4,6 +4,7 @@ from collections.abc import Collection
 
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.conditions import Condition
+from freerein_sim.worlds.repeated_choices import Repeats
 from freerein_sim.worlds.world import WorldSpec
 
 TICS = 4
@@ -11,6 +12,9 @@ TICS = 4
 
 TICS_PER_S = 35
 NO_OP, FORWARD, LEFT, RIGHT = range(4)
+EXPLORATION = (Repeats(0.05, 2), *(Repeats(0.95 / 3, 5) for _ in (FORWARD, LEFT, RIGHT)))
+"""How the choices are drawn in exploration, and for how many actions each is repeated (appendix A)."""
+
 ENGINE_HEIGHT, ENGINE_WIDTH = 120, 160
 ALONG_PATH = "heading-along-path"
 _START = "start-room-"
@@ -20,7 +24,7 @@ def spec_of(paths: Collection[str]) -> WorldSpec:
     """Returns the spec of a task with these paths."""
     return WorldSpec(
         cameras=(Camera("first-person", 42, 42, 1),),
-        action=ActionSpec(size=1, choices=4, names=("no-op", "forward", "left", "right")),
+        action=ActionSpec(size=1, choices=4, names=("no-op", "forward", "left", "right"), hold=NO_OP),
         control_dt_s=TICS / TICS_PER_S,
         skills=tuple(paths),
         max_episode_steps=525,

@@ -9,9 +9,10 @@ from functools import partial
 
 from freerein_sim.worlds.office.floors import FLOORS
 from freerein_sim.worlds.office.predicates import predicates_of
-from freerein_sim.worlds.office.spec import CONDITIONS, SPEC
+from freerein_sim.worlds.office.spec import CONDITIONS, EXPLORATION, SPEC
 from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.recipes import RandomOrder
+from freerein_sim.worlds.repeated_choices import RepeatedChoices
 from freerein_sim.worlds.world import TaskDefinition, World
 
 VERSION = 1
@@ -36,6 +37,7 @@ def _task(floor: str) -> TaskDefinition:
         CONDITIONS,
         RandomOrder(most=1),
         version=VERSION,
+        explorer=partial(RepeatedChoices, EXPLORATION),
     )
 
 

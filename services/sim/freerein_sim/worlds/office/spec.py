@@ -2,9 +2,13 @@
 
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.conditions import LIGHT_CONDITIONS, Condition
+from freerein_sim.worlds.repeated_choices import Repeats
 from freerein_sim.worlds.world import WorldSpec
 
 STAND_STILL, FORWARD, LEFT, RIGHT = range(4)
+EXPLORATION = (Repeats(0.05, 2), *(Repeats(0.95 / 3, 5) for _ in (FORWARD, LEFT, RIGHT)))
+"""How the choices are drawn in exploration, and for how many actions each is repeated (appendix A)."""
+
 STEP_M, TURN_DEG = (0.09, 0.11), (14.0, 18.0)
 """Intervals of how far an action drives and turns; each is drawn uniformly."""
 
@@ -19,7 +23,7 @@ ALONG_PATH = "heading-along-path"
 CAMERA = "first-person"
 SPEC = WorldSpec(
     cameras=(Camera(CAMERA, 64, 64, 3),),
-    action=ActionSpec(size=1, choices=4, names=("stand-still", "forward", "left", "right")),
+    action=ActionSpec(size=1, choices=4, names=("stand-still", "forward", "left", "right"), hold=STAND_STILL),
     control_dt_s=0.5,
     skills=(*GOALS, MAZE, LOOP),
     max_episode_steps=500,

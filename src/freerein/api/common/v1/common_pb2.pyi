@@ -241,6 +241,7 @@ class ActionSpec(_message.Message):
     UNIT_FIELD_NUMBER: _builtins.int
     SCALE_FIELD_NUMBER: _builtins.int
     ABSOLUTE_FIELD_NUMBER: _builtins.int
+    HOLD_FIELD_NUMBER: _builtins.int
     size: _builtins.int
     """Numbers per action: actions are (..., size)."""
     choices: _builtins.int
@@ -251,6 +252,8 @@ class ActionSpec(_message.Message):
     """Whether a continuous action is a target, such as a joint position, and not a change. A robot then holds where its last
     action put it, and not by zeros.
     """
+    hold: _builtins.int
+    """The choice of a discrete action that leaves the robot where it is; -1, or unset, where there is none."""
     @_builtins.property
     def names(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Meaning of each number, or of each choice."""
@@ -268,12 +271,15 @@ class ActionSpec(_message.Message):
         unit: _builtins.str = ...,
         scale: _abc.Iterable[_builtins.float] | None = ...,
         absolute: _builtins.bool = ...,
+        hold: _builtins.int | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_hold", b"_hold", "hold", b"hold"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["absolute", b"absolute", "choices", b"choices", "names", b"names", "scale", b"scale", "size", b"size", "unit", b"unit"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_hold", b"_hold", "absolute", b"absolute", "choices", b"choices", "hold", b"hold", "names", b"names", "scale", b"scale", "size", b"size", "unit", b"unit"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__hold: _TypeAlias = _typing.Literal["hold"]  # noqa: Y015
+    _WhichOneofArgType__hold: _TypeAlias = _typing.Literal["_hold", b"_hold"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__hold) -> _WhichOneofReturnType__hold | None: ...
 
 Global___ActionSpec: _TypeAlias = ActionSpec  # noqa: Y015
 

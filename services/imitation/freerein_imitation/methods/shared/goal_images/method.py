@@ -48,7 +48,7 @@ def goal_images_method(
         threshold = reached_threshold(fitted.network.recognizer, learner.validation)
         figures = {name: losses[name].item() for name in ("action_loss", "recognizer_loss")}
         return {
-            **ControlSpec(1 / source.dataset.spec.fps, threshold, learner.max_steps_per_goal).to_card(),
+            **ControlSpec(source.dataset.spec.control_dt_s, threshold, learner.max_steps_per_goal).to_card(),
             "figures": fitted.figures | figures,
             "supervision": "images and executed actions of exploration",
         }
