@@ -168,7 +168,8 @@ def test_the_expert_reaches_goals_from_unseen_starts_among_four_blocks(relation:
 
 
 @pytest.mark.parametrize(
-    ("condition", "held", "near"), [("start-on-the-way", (0.23, 0.43), (0.4, 0.65)), ("start-near", (0, 0), (0.12, 0.3))]
+    ("condition", "held", "near"),
+    [("start-on-the-way", (0.23, 0.43), (0.4, 0.65)), ("start-near", (0, 0), (0.12, 0.3))],
 )
 def test_the_gripper_begins_near_the_first_block_or_holds_it_and_nothing_falls_or_is_pushed_far(
     condition: str, held: tuple[float, float], near: tuple[float, float]

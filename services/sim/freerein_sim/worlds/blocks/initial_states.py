@@ -78,8 +78,8 @@ class InitialState:
 
 
 Begin = Literal["own", "near", "held"]
-"""How an episode of a goal task begins: as the task has it, with the gripper on its way to the block that the goal moves,
-or with that block in the gripper, anywhere."""
+"""How an episode of a goal task begins: as the task has it, with the gripper on its way to the block that the goal
+moves, or with that block in the gripper, anywhere."""
 
 InitialStateSampler = Callable[[np.random.Generator, Sequence[str]], InitialState]
 """Draws an initial state in which the blocks of some colours, at least, are on show."""
