@@ -255,7 +255,11 @@ class JobStore:
 
     def fields(self, job_id: str, event: JobEvent | None = None) -> dict[str, Any]:
         """Returns the fields of `Fit` and `Run` after an event, by default the last; raises NotFound as `config`."""
-        config, event = self.config(job_id), event or self.last(job_id)
+        folder = self.folder(job_id)
+        with self._deleted_is_not_found():
+            (folder / "request.json").stat()
+            config = json.loads((folder / "config.json").read_bytes())
+        event = event or self.last(job_id)
         model = self._model(job_id) if event.state == "succeeded" else None
         return {"id": job_id, **config, **vars(event), "model": model}
 
@@ -296,9 +300,9 @@ class JobStore:
         return LineReader(self.folder(job_id) / "events.jsonl")
 
     def _model(self, job_id: str) -> ModelRef | None:
-        path = self.folder(job_id) / "model.json"
-        with self._deleted_is_not_found():
-            return ModelRef(**json.loads(path.read_bytes())) if path.is_file() else None
+        with suppress(FileNotFoundError):
+            return ModelRef(**json.loads((self.folder(job_id) / "model.json").read_bytes()))
+        return None
 
     @contextmanager
     def lock(self, job_id: str) -> Iterator[None]:

@@ -300,9 +300,11 @@ class RunService:
 
     def _run_in(self, state: JobState, run_id: str) -> orchestrator.Run:
         """Returns a run whose state in the database is given; records first an end that is not recorded on disk."""
-        if state in ENDED and state != self._store.last(run_id).state:
+        event = self._store.last(run_id)
+        if state in ENDED and state != event.state:
             self._record_end(run_id)
-        return orchestrator.Run(**self._store.fields(run_id))
+            event = self._store.last(run_id)
+        return orchestrator.Run(**self._store.fields(run_id, event))
 
     def _record_end(self, run_id: str) -> None:
         try:

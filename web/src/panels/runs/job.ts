@@ -64,9 +64,9 @@ export function jobOf(message: { run?: Run | null; fit?: Fit | null }, owner: Ow
 
 export interface Jobs {
   readonly jobs: readonly Job[];
-  /** Services that did not answer. */
   /** Whether a service has older ones, too. */
   readonly areMore: boolean;
+  /** Services that did not answer. */
   readonly away: readonly { readonly owner: Owner; readonly problem: Problem }[];
 }
 

@@ -1,5 +1,6 @@
 /** All jobs of all services, newest first. */
-import { useState } from "preact/hooks";
+import { memo } from "preact/compat";
+import { useEffect, useRef, useState } from "preact/hooks";
 import { useRemote } from "../../api/remote";
 import { Link } from "../../parts/link";
 import { Empty, Failed, Shown } from "../../parts/notice";
@@ -10,26 +11,37 @@ import { StateBadge } from "./state_badge";
 import { truthSeen } from "./truth";
 
 const PERIOD_MS = 3000;
+const FIRST_ROWS = 60;
+const MORE_ROWS = 200;
 const TIME = new Intl.DateTimeFormat(undefined, { dateStyle: "short", timeStyle: "medium" });
 
+/** Asks for the newest jobs alone until older ones are looked for. */
 export function JobList() {
   const turn = useTicks(PERIOD_MS);
   const [most, setMost] = useState(FEW_JOBS);
   const [remote, retry] = useRemote((signal) => listJobs(signal, most), "jobs", turn + (most === FEW_JOBS ? 0 : 0.5));
+  const wanted = query.value.filter ?? "";
+  useEffect(() => {
+    if (wanted !== "") setMost(MOST_JOBS);
+  }, [wanted]);
   return (
     <Shown remote={remote} what="runs and fits" retry={retry}>
-      {(jobs) => (
-        <Table {...jobs} retry={retry} more={jobs.areMore && most === FEW_JOBS ? () => setMost(MOST_JOBS) : null} />
-      )}
+      {(jobs) => <Table {...jobs} retry={retry} onEnd={() => setMost(MOST_JOBS)} />}
     </Shown>
   );
 }
 
-function Table({ jobs, away, retry, more }: Jobs & { retry: () => void; more: (() => void) | null }) {
+/** Draws the first jobs, and more as their end is scrolled to: a thousand rows take a browser a second. */
+function Table({ jobs, away, areMore, retry, onEnd }: Jobs & { retry: () => void; onEnd: () => void }) {
   const wanted = (query.value.filter ?? "").toLowerCase();
   const found = jobs.filter((each) =>
     `${each.kind} ${each.about} ${each.state} ${each.id}`.toLowerCase().includes(wanted),
   );
+  const [count, setCount] = useState(FIRST_ROWS);
+  const showMore = (): void => {
+    if (count < found.length) setCount(count + MORE_ROWS);
+    else if (areMore) onEnd();
+  };
   return (
     <>
       {away.map(({ owner, problem }) => (
@@ -61,19 +73,16 @@ function Table({ jobs, away, retry, more }: Jobs & { retry: () => void; more: ((
                 </tr>
               </thead>
               <tbody>
-                {found.map((each) => (
-                  <Row key={each.id} job={each} />
+                {found.slice(0, count).map((each) => (
+                  <Row key={each.id} job={each} compared={query.value.compare} />
                 ))}
               </tbody>
             </table>
           </div>
+          <End key={`${count} ${found.length}`} onSeen={showMore} />
           <p class="faint">
-            {found.length} of {jobs.length} shown.{" "}
-            {more && (
-              <button type="button" onClick={more}>
-                Show older ones
-              </button>
-            )}
+            {found.length} of {jobs.length}
+            {areMore && " newest"} shown.
           </p>
         </>
       )}
@@ -81,9 +90,27 @@ function Table({ jobs, away, retry, more }: Jobs & { retry: () => void; more: ((
   );
 }
 
-function Row({ job }: { job: Job }) {
+/** What is called when it is scrolled to. */
+function End({ onSeen }: { onSeen: () => void }) {
+  const mark = useRef<HTMLDivElement>(null);
+  useEffect(() => {
+    const watching = new IntersectionObserver(([seen]) => seen?.isIntersecting && onSeen(), { rootMargin: "600px" });
+    watching.observe(mark.current!);
+    return () => watching.disconnect();
+  }, []);
+  return <div ref={mark} />;
+}
+
+interface RowProps {
+  readonly job: Job;
+  /** Name of the job that was chosen to compare. */
+  readonly compared: string | undefined;
+}
+
+const Row = memo(JobRow, (before, after) => before.job.time === after.job.time && before.compared === after.compared);
+
+function JobRow({ job, compared: first }: RowProps) {
   const name = `${job.owner}/${job.id}`;
-  const first = query.value.compare;
   const truth = truthSeen(job);
   return (
     <tr>
