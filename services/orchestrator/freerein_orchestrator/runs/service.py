@@ -186,9 +186,7 @@ class RunService:
 
     async def get_metrics(self, request: orchestrator.GetMetricsRequest) -> orchestrator.GetMetricsResponse:
         """Returns the metrics of a run from a step on, decimated. Raises NotFound when there is no such run."""
-        found = await asyncio.to_thread(
-            self._store.metrics, request.id, from_step=request.from_step, max_rows=request.max_rows
-        )
+        found = await asyncio.to_thread(self._store.metrics, request)
         return orchestrator.GetMetricsResponse(**vars(found))
 
     async def cancel_run(self, request: orchestrator.CancelRunRequest) -> orchestrator.CancelRunResponse:

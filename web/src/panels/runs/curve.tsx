@@ -126,10 +126,10 @@ function drawMarks(plot: uPlot, { marks, checkpoints }: CurveProps, strong: stri
 }
 
 function NumberTable({ name, points, other }: { name: string; points: Points; other?: Points }) {
-  const every = Math.max(1, Math.ceil(points.x.length / TABLE_ROWS));
-  const shown = points.x
-    .map((_, index) => index)
-    .filter((index) => index % every === 0 || index === points.x.length - 1);
+  const count = Math.min(points.x.length, TABLE_ROWS);
+  const shown = Array.from({ length: count }, (_, row) =>
+    Math.round((row * (points.x.length - 1)) / Math.max(1, count - 1)),
+  );
   const beside = new Map(other?.x.map((step, index) => [step, other.y[index]]));
   return (
     <table>

@@ -142,7 +142,7 @@ export async function metricsOf(
   id: string,
   fromStep: number,
 ): Promise<{ rows: readonly MetricRow[]; next: number }> {
-  const request = { id, from_step: fromStep, max_rows: MOST_ROWS };
+  const request = { id, from_step: fromStep, max_rows: MOST_ROWS, keep_extremes: true };
   const reply = await (owner === "orchestrator"
     ? call("orchestrator/get-metrics", request)
     : call(`${owner}/get-fit-metrics`, request));
