@@ -107,7 +107,11 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
                 kinds[step.kind].check(step.config, store, earlier)
             earlier.append(step.name)
 
-    return Kind({"": PipelineConfig}, parse_pipeline, steps, partial(_run, kinds), check, dump)
+    def truth(config: Mapping[str, Any]) -> str:
+        told = [kinds[step["kind"]].truth(step["config"]) for step in config["steps"] if step["kind"] in kinds]
+        return "; ".join(filter(None, dict.fromkeys(told)))
+
+    return Kind({"": PipelineConfig}, parse_pipeline, steps, partial(_run, kinds), check, dump, truth)
 
 
 def _parse_step(kinds: Mapping[Any, Kind[Any]], step: StepConfig) -> Step:

@@ -14,7 +14,6 @@ import { cancel, isOver, remove, resume, type Job, type Owner, OWNERS } from "./
 import { LiveJob } from "./live_job";
 import { checkpointSteps, inOrder } from "./series";
 import { StateBadge } from "./state_badge";
-import { truthSeen } from "./truth";
 
 const MOST_CURVES = 12;
 
@@ -67,7 +66,6 @@ function Head({ job, onResumed }: { job: Job; onResumed: () => void }) {
     setProblem(null);
     work(job).then(then, (error: unknown) => setProblem(asProblem(error)));
   };
-  const truth = truthSeen(job);
   return (
     <header class="job-head">
       <p>
@@ -75,8 +73,12 @@ function Head({ job, onResumed }: { job: Job; onResumed: () => void }) {
       </p>
       <h2>
         {job.kind} <span class="faint">{job.about}</span> <StateBadge state={job.state} />
-        {truth && <span class="state truth">{truth}</span>}
       </h2>
+      {job.truth && (
+        <p>
+          <span class="state truth">sees the truth</span> {job.truth}
+        </p>
+      )}
       <div class="job-progress">
         <progress aria-label="Steps" max={Math.max(job.steps, 1)} value={job.step} />
         <span>

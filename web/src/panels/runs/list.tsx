@@ -8,7 +8,6 @@ import { useTicks } from "../../parts/ticks";
 import { amend, query } from "../../url/location";
 import { FEW_JOBS, listJobs, MOST_JOBS, type Job, type Jobs } from "./job";
 import { StateBadge } from "./state_badge";
-import { truthSeen } from "./truth";
 
 const PERIOD_MS = 3000;
 const FIRST_ROWS = 60;
@@ -111,14 +110,13 @@ const Row = memo(JobRow, (before, after) => before.job.time === after.job.time &
 
 function JobRow({ job, compared: first }: RowProps) {
   const name = `${job.owner}/${job.id}`;
-  const truth = truthSeen(job);
   return (
     <tr>
       <td>
         <Link to={{ view: "runs", job: name, compare: "" }}>{job.kind}</Link> <span class="faint">{job.about}</span>
-        {truth && (
-          <span class="state truth" title={truth}>
-            saw the truth
+        {job.truth && (
+          <span class="state truth" title={job.truth}>
+            sees the truth
           </span>
         )}
       </td>

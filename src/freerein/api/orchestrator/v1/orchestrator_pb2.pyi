@@ -58,6 +58,7 @@ class Run(_message.Message):
     MODEL_FIELD_NUMBER: _builtins.int
     ERROR_FIELD_NUMBER: _builtins.int
     TIME_NS_FIELD_NUMBER: _builtins.int
+    TRUTH_FIELD_NUMBER: _builtins.int
     id: _builtins.str
     """32 hexadecimal digits."""
     kind: _builtins.str
@@ -72,6 +73,8 @@ class Run(_message.Message):
     """Reason of the failure, or why the next attempt waits; else empty."""
     time_ns: _builtins.int
     """Time of its last event, Unix time in nanoseconds; 0 where none was recorded."""
+    truth: _builtins.str
+    """What it is told that no learner may see, such as true rewards, and what for; empty where it is told nothing."""
     @_builtins.property
     def config(self) -> _struct_pb2.Struct:
         """Resolved configuration, with defaults filled in."""
@@ -97,10 +100,11 @@ class Run(_message.Message):
         model: _common_pb2.ModelRef | None = ...,
         error: _builtins.str = ...,
         time_ns: _builtins.int = ...,
+        truth: _builtins.str = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["config", b"config", "model", b"model"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["config", b"config", "error", b"error", "id", b"id", "kind", b"kind", "metrics", b"metrics", "model", b"model", "state", b"state", "step", b"step", "steps", b"steps", "time_ns", b"time_ns"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["config", b"config", "error", b"error", "id", b"id", "kind", b"kind", "metrics", b"metrics", "model", b"model", "state", b"state", "step", b"step", "steps", b"steps", "time_ns", b"time_ns", "truth", b"truth"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
