@@ -87,6 +87,7 @@ def test_the_last_log_standard_deviation_may_be_learned() -> None:
 def test_the_configuration_of_every_kind_is_described() -> None:
     described = {each["title"]: each for each in run_config_schema()["anyOf"]}
     assert {title.partition(" ")[0] for title in described} == {*KINDS}
+    assert all(each["description"].endswith(".") for each in described.values())
     assert described["collect"]["required"] == ["task", "dataset"]
     assert described["collect"]["properties"]["count"]["maximum"] == 1_000_000
     assert all(each["description"] for kind in described.values() for each in kind["properties"].values())

@@ -41,6 +41,7 @@ class Kind(Generic[C]):
         truth: Returns what a run is told that no learner may see, and what for, given its configuration as it was
             dumped, maybe by an earlier version; empty where it is told nothing.
         remote: What another service does for it, which may begin before `run`; None if the run does all itself.
+        meaning: What a run does, in a sentence, for people who choose a kind.
     """
 
     configs: Mapping[str, type]
@@ -51,3 +52,4 @@ class Kind(Generic[C]):
     dump: Callable[[C], dict[str, Any]] = asdict
     truth: Callable[[Mapping[str, Any]], str] = lambda _config: ""
     remote: RemoteWork[C] | None = None
+    meaning: str = ""

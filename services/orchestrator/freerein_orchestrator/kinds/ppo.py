@@ -178,6 +178,7 @@ KIND = Kind(
     run=run,
     check=check,
     truth=truth,
+    meaning="Trains a policy for one task by PPO, on a reward for what its frames show.",
 )
 
 

@@ -149,7 +149,14 @@ def skills_kind(pipeline: Kind[Pipeline]) -> Kind[SkillsRunConfig]:
         config = parse(SkillsRunConfig, values)
         return replace(config, name=config.shared_name)
 
-    return Kind({"": SkillsRunConfig}, named, steps=lambda config: config.steps, run=run, truth=evaluate.KIND.truth)
+    return Kind(
+        {"": SkillsRunConfig},
+        named,
+        steps=lambda config: config.steps,
+        run=run,
+        truth=evaluate.KIND.truth,
+        meaning="Goes from demonstrations with tags to policies that execute recipes longer than any demonstration.",
+    )
 
 
 def _write_result(context: RunContext, task: Task) -> None:

@@ -12,7 +12,9 @@ import { StateBadge } from "./state_badge";
 const PERIOD_MS = 3000;
 const FIRST_ROWS = 60;
 const MORE_ROWS = 200;
-const TIME = new Intl.DateTimeFormat(undefined, { dateStyle: "short", timeStyle: "medium" });
+const DAY = new Intl.DateTimeFormat(undefined, { dateStyle: "short" });
+const TIME = new Intl.DateTimeFormat(undefined, { timeStyle: "short" });
+const WHOLE = new Intl.DateTimeFormat(undefined, { dateStyle: "medium", timeStyle: "medium" });
 
 /** Asks for the newest jobs alone until older ones are looked for. */
 export function JobList() {
@@ -48,7 +50,8 @@ function Table({ jobs, away, areMore, retry, onEnd }: Jobs & { retry: () => void
       ))}
       {jobs.length === 0 ? (
         <Empty title="No runs and no fits yet">
-          Start one above, or with <code>freerein run</code>. It survives the death of any process.
+          <Link to={{ view: "runs", start: "run", kind: "collect" }}>Record demonstrations</Link> in a world, then{" "}
+          <Link to={{ view: "runs", start: "fit" }}>fit a model</Link> to them. <code>freerein run</code> does the same.
         </Empty>
       ) : (
         <>
@@ -89,6 +92,16 @@ function Table({ jobs, away, areMore, retry, onEnd }: Jobs & { retry: () => void
   );
 }
 
+/** The time of today, the day of others. */
+function Time({ time }: { time: number }) {
+  const day = DAY.format(time);
+  return (
+    <time dateTime={new Date(time).toISOString()} title={WHOLE.format(time)}>
+      {day === DAY.format(Date.now()) ? TIME.format(time) : day}
+    </time>
+  );
+}
+
 /** What is called when it is scrolled to. */
 function End({ onSeen }: { onSeen: () => void }) {
   const mark = useRef<HTMLDivElement>(null);
@@ -126,7 +139,7 @@ function JobRow({ job, compared: first }: RowProps) {
       <td class="number">
         {job.step} / {job.steps}
       </td>
-      <td>{job.time > 0 ? <time dateTime={new Date(job.time).toISOString()}>{TIME.format(job.time)}</time> : "–"}</td>
+      <td>{job.time > 0 ? <Time time={job.time} /> : "–"}</td>
       <td>
         {first === undefined || first === name ? (
           <button

@@ -52,6 +52,10 @@ export function SegmentsPanel() {
           </ul>
         </nav>
       </div>
+      <p class="lede">
+        Which skill is in use at each moment of a recording, found by a model. Drag a boundary or rename a skill to
+        correct it.
+      </p>
       {source === "demonstration" && <Demonstration />}
       {source === "dataset" && (
         <DatasetSource>

@@ -44,4 +44,10 @@ def run(context: RunContext, config: CollectConfig) -> None:
     write_atomic(context.artifacts / CARD, json.dumps(card, indent=2).encode())
 
 
-KIND = Kind({"": CollectConfig}, partial(parse, CollectConfig), steps=lambda config: config.count, run=run)
+KIND = Kind(
+    {"": CollectConfig},
+    partial(parse, CollectConfig),
+    steps=lambda config: config.count,
+    run=run,
+    meaning="Records a scripted or a curious behaviour in a task as a dataset.",
+)

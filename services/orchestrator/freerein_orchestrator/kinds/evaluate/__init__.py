@@ -80,4 +80,5 @@ KIND = Kind(
     run=run,
     check=check,
     truth=lambda _: "true states, which are privileged: to measure",
+    meaning="Measures policies and models against true states, which only an evaluation may see.",
 )
