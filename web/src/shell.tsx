@@ -1,6 +1,6 @@
 /** What surrounds every view: navigation, sign-in, the live region. */
 import { useSignalEffect } from "@preact/signals";
-import { useEffect } from "preact/hooks";
+import { useEffect, useRef } from "preact/hooks";
 import { signedOut } from "./api/client";
 import { SignIn, askSession } from "./parts/sign_in";
 import { Link } from "./parts/link";
@@ -16,6 +16,13 @@ export function Shell() {
     return watchHealth();
   }, []);
   useEffect(() => say(view.title), [view]);
+  const { job, start } = query.value;
+  const opened = useRef(`${view.name} ${job} ${start}`);
+  useEffect(() => {
+    const now = `${view.name} ${job} ${start}`;
+    if (opened.current !== now && document.activeElement === document.body) focusMain();
+    opened.current = now;
+  }, [view, job, start]);
   useSignalEffect(() => {
     document.title = `${(VIEWS.find((each) => each.name === query.value.view) ?? VIEWS[0]!).title} · freerein`;
   });
@@ -47,4 +54,9 @@ export function Shell() {
       </div>
     </>
   );
+}
+
+/** Where the keys go on after what had the focus is gone, such as the button that opened what is there now. */
+function focusMain(): void {
+  document.getElementById("main")!.focus({ preventScroll: true });
 }

@@ -57,7 +57,7 @@ export function Health() {
     <span class={`health ${missing.length > 0 ? "warning" : ""}`}>
       <Link to={{ view: "services" }} current={query.value.view === "services"}>
         {missing.length === 0
-          ? `${ready} of ${SERVICES.length} services ready`
+          ? `${ready} of ${SERVICES.length} ready`
           : missing.map((each) => `${each} ${readiness.value[each]}`).join(", ")}
       </Link>
     </span>
