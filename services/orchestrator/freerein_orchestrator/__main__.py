@@ -70,14 +70,8 @@ def build(
         executor_id=settings.executor_id,
     )
     resolve_here = partial(resolve, data_dir=settings.data_dir)
-    runs = RunService(
-        store,
-        queue,
-        resolve=resolve_here,
-        health=health,
-        truth=truth,
-        check_unused=partial(_check_unused, settings),
-    )
+    unused = partial(_check_unused, settings)
+    runs = RunService(store, queue, resolve=resolve_here, health=health, truth=truth, check_unused=unused)
     datasets = DatasetService(settings.data_dir)
     client = make_client(limits, token=settings.token_text, certificate=os.environ.get("FREEREIN_TLS_CERT"))
     passed_on = [PassedOn(service, rest_url(service, os.environ), client) for service in CALLS]
