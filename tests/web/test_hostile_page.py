@@ -93,7 +93,7 @@ def test_a_page_on_another_port_starts_ends_and_reads_nothing(
     service = start_service("freerein_orchestrator", **({"FREEREIN_TOKEN": token} if token else {})).until_ready()
     headers = {"authorization": f"Bearer {token}"} if token else {}
     with httpx.Client(base_url=service.url, headers=headers, timeout=60) as own:
-        wanted = {"kind": "collect", "config": {"task": "grid", "dataset": "demos", "count": 1}}
+        wanted: dict[str, object] = {"kind": "collect", "config": {"task": "grid", "dataset": "demos", "count": 1}}
         run = own.post("/v1/start-run", json=wanted).json()["run"]["id"]  # waits: there is no sim service
         posts: dict[str, dict[str, object]] = {
             "/v1/start-run": wanted,
