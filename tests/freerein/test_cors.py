@@ -60,6 +60,7 @@ async def answer(headers: dict[str, str], *, origins: tuple[str, ...] = (), is_l
         {"host": "[::1"},
         {"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors"},
         {"sec-fetch-site": "same-site"},
+        {"sec-fetch-site": "same-site", "sec-fetch-mode": "navigate", "sec-fetch-dest": "iframe"},
     ],
 )
 async def test_a_page_of_another_origin_or_by_another_name_of_the_service_is_refused(headers: dict[str, str]) -> None:

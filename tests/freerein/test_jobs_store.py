@@ -4,6 +4,7 @@ import json
 import math
 import resource
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from freerein.jobs.json_lines import LineReader, append, last_document
 from freerein.jobs.metrics import MetricsWriter
 from freerein.jobs.names import job_name
 from freerein.jobs.store import JobEvent, JobStore
-from freerein.types.jobs import JobMetrics
+from freerein.types.jobs import JobMetrics, JobMetricsRequest
 from freerein.types.orchestrator import ListRunsResponse, Run
 
 START = {"kind": "ppo", "config": {}, "idempotency_key": ""}
@@ -245,19 +246,35 @@ def test_metrics_are_whole_or_decimated_evenly_with_the_first_and_the_last(store
         writer.append(step, {"loss": float(step), "broken": math.nan})
     with (store.folder(run_id) / "metrics.jsonl").open("a") as file:
         file.write('{"step": 102')  # being written
-    found = store.metrics(run_id, from_step=from_step, max_rows=max_rows)
+    found = store.metrics(JobMetricsRequest(run_id, from_step, max_rows))
     assert [row.step for row in found.rows] == steps
     assert all(row.metrics == {"loss": row.step} for row in found.rows)
     assert (found.total_rows, found.next_step) == (total, 102)
 
 
+def test_of_many_metrics_the_extremes_of_each_may_be_kept(store):
+    run_id = store.create(REQUEST, {})
+    path = store.folder(run_id) / "metrics.jsonl"
+    spikes = {1234: ("loss", 9.0), 5678: ("return", -7.0)}
+    rows = ({"step": step, "loss": math.sin(step), "return": 1.0} for step in range(10_000))
+    path.write_text("".join(json.dumps(row | dict([spikes.get(row["step"], ("", 0.0))])) + "\n" for row in rows))
+    asked = JobMetricsRequest(run_id, max_rows=50, keep_extremes=True)
+    found = store.metrics(asked)
+    steps = [row.step for row in found.rows]
+    assert (len(steps) <= 50, steps) == (True, sorted(set(steps)))
+    assert {0, 1234, 5678, 9999} <= set(steps)
+    assert (found.total_rows, found.next_step) == (10_000, 10_000)
+    few = store.metrics(replace(asked, max_rows=5))  # no room for two rows of each metric
+    assert [row.step for row in few.rows] == [row.step for row in store.metrics(JobMetricsRequest(run_id, 0, 5)).rows]
+
+
 def test_metrics_of_a_job_that_has_none_are_empty_and_too_many_are_refused(store):
     run_id = store.create(REQUEST, {})
-    assert store.metrics(run_id, from_step=3, max_rows=0) == JobMetrics((), 0, 3)
+    assert store.metrics(JobMetricsRequest(run_id, from_step=3)) == JobMetrics((), 0, 3)
     with pytest.raises(InvalidInput):
-        store.metrics(run_id, from_step=0, max_rows=10_001)
+        store.metrics(JobMetricsRequest(run_id, max_rows=10_001))
     with pytest.raises(NotFound):
-        store.metrics("0" * 32, from_step=0, max_rows=0)
+        store.metrics(JobMetricsRequest("0" * 32))
 
 
 @pytest.mark.parametrize("length", [10, 1 << 16, 300_000])

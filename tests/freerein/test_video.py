@@ -77,6 +77,18 @@ def test_frames_come_in_order_with_their_times(
     assert np.abs(shown[:, :, 8:40].astype(int) - colours[:, :, 8:40]).max() <= 16
 
 
+@pytest.mark.parametrize("encoder", ["libx264", "libx265", "libsvtav1", "libvpx-vp9", "mpeg4"])
+def test_frames_from_a_time_on_are_those_of_the_whole_video(encode_video: EncodeVideo, encoder: str) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (300, 64, 64, 3), np.uint8)  # more than one group of pictures
+    video = encode_video(pixels, codec=encoder)
+    with open_video(video) as whole, open_video(video, start_s=27.95) as late, open_video(video, start_s=99) as beyond:
+        expected = list(whole)
+        for found, start in ((list(late), 280), (list(beyond), 299)):
+            assert [frame.time_s for frame in found] == [frame.time_s for frame in expected[start:]]
+            for one, other in zip(found, expected[start:], strict=True):
+                np.testing.assert_array_equal(one.pixels, other.pixels)
+
+
 def test_a_file_is_read_as_its_contents_are(tmp_path: Path, h264: bytes) -> None:
     path = tmp_path / "demo.mp4"
     path.write_bytes(h264)

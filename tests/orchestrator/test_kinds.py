@@ -49,6 +49,28 @@ def test_a_configuration_survives_json_and_says_how_many_steps_there_are(kind: s
 
 
 @pytest.mark.parametrize(
+    ("kind", "values", "words"),
+    [
+        ("ppo", {"task": "grid"}, ""),
+        ("ppo", {"task": "grid", "reward": "oracle"}, "true reward"),
+        ("ppo", {"task": "grid", "reward": "vice", "dataset": "play"}, "chosen by true states"),
+        ("evaluate", {"task": "grid", "policy": "random"}, "to measure"),
+        ("skills", {"task": "grid"}, "to measure"),
+        ("collect", {"task": "grid", "dataset": "play"}, ""),
+    ],
+)
+def test_a_run_says_what_of_the_truth_it_is_told_in_a_pipeline_too(
+    kind: str, values: dict[str, Any], words: str
+) -> None:
+    chosen = KINDS[kind]
+    told = chosen.truth(chosen.dump(chosen.parse(values)))
+    assert (words in told, bool(told)) == (True, bool(words))
+    steps = {"steps": [{"name": "one", "kind": kind, "config": values}]}
+    if kind != "skills":
+        assert KINDS["pipeline"].truth(steps) == told
+
+
+@pytest.mark.parametrize(
     ("key", "value"), [("batch_size", 7), ("num_steps", 65_536), ("final_log_std", 1e9), ("final_log_std", -6.0)]
 )
 def test_hyperparameters_that_do_not_fit_are_refused_by_their_key(key: str, value: float) -> None:
@@ -65,6 +87,7 @@ def test_the_last_log_standard_deviation_may_be_learned() -> None:
 def test_the_configuration_of_every_kind_is_described() -> None:
     described = {each["title"]: each for each in run_config_schema()["anyOf"]}
     assert {title.partition(" ")[0] for title in described} == {*KINDS}
+    assert all(each["description"].endswith(".") for each in described.values())
     assert described["collect"]["required"] == ["task", "dataset"]
     assert described["collect"]["properties"]["count"]["maximum"] == 1_000_000
     assert all(each["description"] for kind in described.values() for each in kind["properties"].values())

@@ -13,6 +13,8 @@ ROOT = Path(__file__).parents[2]
 WEB = ROOT / "web"
 SERVICES = ("segmentation", "imitation", "reward", "sim", "orchestrator")
 PATIENCE_MS = 20_000
+REBOUND = "rebound.example"
+"""A name that the browser resolves to loopback, as that of a page that had its own name made to."""
 
 
 def why_not_node() -> str:
@@ -76,7 +78,8 @@ def browser() -> Iterator[Any]:
     path = shutil.which("chromium")
     if path is None:
         pytest.skip("chromium is not installed: the page is not tested in a browser (apt-get install chromium)")
-    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
+    arguments = [f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"]
+    arguments += ["--no-sandbox"] if os.geteuid() == 0 else []
     with api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=arguments)
         yield browser

@@ -2,8 +2,4 @@ declare module "*.webp" {
   const url: string;
   export default url;
 }
-declare module "*.json" {
-  const url: string;
-  export default url;
-}
 declare module "*.css" {}

@@ -1,12 +1,9 @@
 /** What surrounds every view: navigation, sign-in, the live region. */
 import { useSignalEffect } from "@preact/signals";
-import type { ComponentType } from "preact";
-import { useEffect, useState } from "preact/hooks";
+import { useEffect, useRef } from "preact/hooks";
 import { signedOut } from "./api/client";
-import { asProblem, type Problem } from "./api/problem";
 import { SignIn, askSession } from "./parts/sign_in";
 import { Link } from "./parts/link";
-import { Failed, Loading } from "./parts/notice";
 import { said, say } from "./parts/say";
 import { Health, watchHealth } from "./panels/services/health";
 import { query } from "./url/location";
@@ -19,6 +16,13 @@ export function Shell() {
     return watchHealth();
   }, []);
   useEffect(() => say(view.title), [view]);
+  const { job, start } = query.value;
+  const opened = useRef(`${view.name} ${job} ${start}`);
+  useEffect(() => {
+    const now = `${view.name} ${job} ${start}`;
+    if (opened.current !== now && document.activeElement === document.body) focusMain();
+    opened.current = now;
+  }, [view, job, start]);
   useSignalEffect(() => {
     document.title = `${(VIEWS.find((each) => each.name === query.value.view) ?? VIEWS[0]!).title} · freerein`;
   });
@@ -43,7 +47,7 @@ export function Shell() {
         <Health />
       </header>
       <main id="main" tabIndex={-1}>
-        {signedOut.value ? <SignIn /> : <Opened key={view.name} name={view.name} />}
+        {signedOut.value ? <SignIn /> : <view.Panel key={view.name} />}
       </main>
       <div class="unseen" aria-live="polite" role="status">
         {said.value}
@@ -52,18 +56,7 @@ export function Shell() {
   );
 }
 
-/** A view, once its code is there. */
-function Opened({ name }: { name: string }) {
-  const [panel, setPanel] = useState<{ view: ComponentType } | { problem: Problem } | null>(null);
-  useEffect(() => {
-    const view = VIEWS.find((each) => each.name === name)!;
-    view.load().then(
-      (component) => setPanel({ view: component }),
-      (error: unknown) => setPanel({ problem: asProblem(error) }),
-    );
-  }, [name]);
-  if (panel === null) return <Loading what="the view" />;
-  if ("problem" in panel) return <Failed problem={panel.problem} retry={() => location.reload()} />;
-  const View = panel.view;
-  return <View />;
+/** Where the keys go on after what had the focus is gone, such as the button that opened what is there now. */
+function focusMain(): void {
+  document.getElementById("main")!.focus({ preventScroll: true });
 }

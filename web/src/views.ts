@@ -1,18 +1,23 @@
-/** The views in the order in which people want to see them. All but the first are loaded when they are opened. */
+/** The views in the order in which people want to see them, in one file: only what draws curves is loaded later. */
 import type { ComponentType } from "preact";
+import { DataPanel } from "./panels/data/panel";
+import { PolicyPanel } from "./panels/policy/panel";
+import { RewardPanel } from "./panels/reward/panel";
+import { RunsPanel } from "./panels/runs/panel";
 import { SegmentsPanel } from "./panels/segments/panel";
+import { ServicesPanel } from "./panels/services/panel";
 
 export interface View {
   readonly name: string;
   readonly title: string;
-  readonly load: () => Promise<ComponentType>;
+  readonly Panel: ComponentType;
 }
 
 export const VIEWS: readonly View[] = [
-  { name: "segments", title: "Segments", load: async () => SegmentsPanel },
-  { name: "policy", title: "Policy", load: async () => (await import("./panels/policy/panel")).PolicyPanel },
-  { name: "reward", title: "Reward", load: async () => (await import("./panels/reward/panel")).RewardPanel },
-  { name: "runs", title: "Runs and fits", load: async () => (await import("./panels/runs/panel")).RunsPanel },
-  { name: "data", title: "Data and models", load: async () => (await import("./panels/data/panel")).DataPanel },
-  { name: "services", title: "Services", load: async () => (await import("./panels/services/panel")).ServicesPanel },
+  { name: "segments", title: "Segments", Panel: SegmentsPanel },
+  { name: "policy", title: "Policy", Panel: PolicyPanel },
+  { name: "reward", title: "Reward", Panel: RewardPanel },
+  { name: "runs", title: "Runs and fits", Panel: RunsPanel },
+  { name: "data", title: "Data and models", Panel: DataPanel },
+  { name: "services", title: "Services", Panel: ServicesPanel },
 ];

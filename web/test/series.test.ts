@@ -1,7 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { appended, checkpointSteps, inOrder, markOf } from "../src/panels/runs/series";
-import { truthSeen } from "../src/panels/runs/truth";
 
 const row = (step: number, value: number) => ({ step, metrics: { loss: value } });
 
@@ -30,16 +29,6 @@ test("events mark interruptions, resumes and bad ends", () => {
 test("checkpoints are known from the configuration", () => {
   assert.deepEqual(checkpointSteps({ checkpoint_every: 50 }, 170), [50, 100, 150]);
   assert.deepEqual(checkpointSteps({}, 170), []);
-});
-
-test("what saw the truth is known, also within a pipeline", () => {
-  const ppo = { kind: "ppo", config: { reward: "learned" } };
-  assert.equal(truthSeen(ppo), "");
-  assert.match(truthSeen({ kind: "ppo", config: { reward: "oracle" } }), /privileged/);
-  assert.match(
-    truthSeen({ kind: "pipeline", config: { steps: [ppo, { kind: "evaluate", config: {} }] } }),
-    /true states/,
-  );
 });
 
 test("returns come before losses, and both before the rest", () => {

@@ -59,7 +59,7 @@ const building = await context({
   target: ["es2022"],
   jsx: "automatic",
   jsxImportSource: "preact",
-  loader: { ".webp": "file", ".json": "file" },
+  loader: { ".webp": "file" },
   publicPath: "/web",
   entryNames: "[name]-[hash]",
   chunkNames: "chunk-[hash]",

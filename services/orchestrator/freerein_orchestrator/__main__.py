@@ -22,7 +22,7 @@ from freerein.serving.methods import methods_of
 from freerein.serving.metrics import Metrics
 from freerein.serving.rest.web_page import WebPage
 from freerein_orchestrator.datasets import DatasetService
-from freerein_orchestrator.kinds import find_kind
+from freerein_orchestrator.kinds import KINDS, find_kind
 from freerein_orchestrator.kinds.config_schemas import run_config_schema
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.runs.dbos_queue import DbosQueue
@@ -70,7 +70,8 @@ def build(
         executor_id=settings.executor_id,
     )
     resolve_here = partial(resolve, data_dir=settings.data_dir)
-    runs = RunService(store, queue, resolve=resolve_here, health=health, check_unused=partial(_check_unused, settings))
+    unused = partial(_check_unused, settings)
+    runs = RunService(store, queue, resolve=resolve_here, health=health, truth=truth, check_unused=unused)
     datasets = DatasetService(settings.data_dir)
     client = make_client(limits, token=settings.token_text, certificate=os.environ.get("FREEREIN_TLS_CERT"))
     passed_on = [PassedOn(service, rest_url(service, os.environ), client) for service in CALLS]
@@ -106,6 +107,11 @@ def resolve(kind: str, config: Mapping[str, Any], data_dir: Path) -> Resolved:
     parsed = chosen.parse(config)
     chosen.check(parsed, PolicyStore.open(data_dir, os.environ), ())
     return Resolved(chosen.dump(parsed), chosen.steps(parsed))
+
+
+def truth(kind: str, config: Mapping[str, Any]) -> str:
+    """Returns what a run is told that no learner may see; empty for nothing, or a kind that there is no longer."""
+    return KINDS[kind].truth(config) if kind in KINDS else ""
 
 
 if __name__ == "__main__":

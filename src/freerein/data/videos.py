@@ -64,7 +64,7 @@ def video_frames(
         for span in spans:
             if span.file != current or span.start_s <= position_s:
                 opened.close()
-                video = opened.enter_context(_open(span, size))
+                video = opened.enter_context(_open(span, size, fps))
                 _check_proportions(video, declared, span.file)
                 frames, current = iter(video), span.file
             found = np.empty((span.length, *size), np.uint8)
@@ -110,9 +110,10 @@ def stretch_notes(stretched: Mapping[str, tuple[int, ...]], size: tuple[int, int
     )
 
 
-def _open(span: VideoSpan, size: tuple[int, int, int]) -> Video:
+def _open(span: VideoSpan, size: tuple[int, int, int], fps: int) -> Video:
+    path, start_s = span.root / span.file, max(0.0, span.start_s - _TOLERANCE / fps)
     try:
-        return open_video(span.root / span.file, channels=size[2], size=size[:2], bounds=BOUNDS, field=span.file)
+        return open_video(path, channels=size[2], size=size[:2], start_s=start_s, bounds=BOUNDS, field=span.file)
     except FileNotFoundError:
         raise InvalidInput(
             f"The video `{span.file}` must be in the dataset; it is missing.", hint="Restore it from a copy."

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-_TAIL_BYTES = 1 << 16  # at first; doubled until it holds a whole line
+_TAIL_BYTES = 1 << 12  # at first; doubled until it holds a whole line
 _READ_BYTES = 1 << 20
 
 

@@ -4,8 +4,8 @@ import errno
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping
-from itertools import islice
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import groupby, islice, product
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -40,21 +40,50 @@ class MetricsWriter:
             os.fsync(file.fileno())
 
 
-def read_metrics(path: Path, *, from_step: int, max_rows: int) -> JobMetrics:
-    """Returns at most `max_rows` rows from a step on, evenly decimated, with the first and the last.
+def read_metrics(path: Path, *, from_step: int, max_rows: int, keep_extremes: bool = False) -> JobMetrics:
+    """Returns at most `max_rows` rows from a step on, with the first and the last; of more rows those that count.
 
+    These are evenly spaced; with `keep_extremes`, and room for two rows of each metric, the extremes of each metric.
     Values that are not finite are left out; the file may not exist yet.
     """
     if not path.is_file():
         return JobMetrics((), 0, from_step)
     with path.open("rb") as file:  # twice through the file, so that memory is bounded
-        total = sum(1 for _ in _documents(file, from_step))
-        count = min(total, max_rows)
-        kept = {total - 1 - index * (total - 1) // max(1, count - 1) for index in range(count)}
+        total, names = 0, set[str]()
+        for document in _documents(file, from_step):
+            total += 1
+            names.update(document)
         file.seek(0)
-        found = islice(_documents(file, from_step), total)
-        rows = tuple(metric_row(document) for index, document in enumerate(found) if index in kept)
+        found = map(metric_row, islice(_documents(file, from_step), total))
+        buckets = (max_rows - 2) // (2 * max(1, len(names) - 1))
+        if keep_extremes and total > max_rows and buckets > 0:
+            rows = tuple(_extremes(found, total, buckets))
+        else:
+            rows = tuple(_evenly(found, total, min(total, max_rows)))
     return JobMetrics(rows, total, rows[-1].step + 1 if rows else from_step)
+
+
+def _evenly(rows: Iterable[MetricRow], total: int, count: int) -> Iterator[MetricRow]:
+    """Yields `count` of so many rows."""
+    kept = {total - 1 - index * (total - 1) // max(1, count - 1) for index in range(count)}
+    return (row for index, row in enumerate(rows) if index in kept)
+
+
+def _extremes(rows: Iterable[MetricRow], total: int, buckets: int) -> Iterator[MetricRow]:
+    """Yields the first and the last of so many rows, and those of each bucket in which a metric is least or greatest.
+
+    A curve through them differs from that of all rows by less than the width of a bucket.
+    """
+    for _, bucket in groupby(enumerate(rows), lambda each: each[0] * buckets // total):
+        kept, best = dict[int, MetricRow](), dict[tuple[str, int], tuple[float, int, MetricRow]]()
+        for index, row in bucket:
+            if index in (0, total - 1):
+                kept[index] = row
+            for (name, value), sign in product(row.metrics.items(), (-1, 1)):
+                if (name, sign) not in best or sign * value > best[name, sign][0]:
+                    best[name, sign] = (sign * value, index, row)
+        kept |= {index: row for _, index, row in best.values()}
+        yield from (kept[index] for index in sorted(kept))
 
 
 def metric_row(document: Mapping[str, Any]) -> MetricRow:

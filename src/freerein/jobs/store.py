@@ -36,7 +36,7 @@ from freerein.jobs.metrics import read_metrics
 from freerein.jobs.names import job_name, link_by_name, remove_broken
 from freerein.jobs.wall_clock import now_ns
 from freerein.types.common import ModelRef, check_id, check_name
-from freerein.types.jobs import ENDED, JobMetrics, JobState, MetricRow
+from freerein.types.jobs import ENDED, JobMetrics, JobMetricsRequest, JobState, MetricRow
 from freerein.types.orchestrator import Artifact
 
 _log = logging.getLogger(__name__)
@@ -255,18 +255,23 @@ class JobStore:
 
     def fields(self, job_id: str, event: JobEvent | None = None) -> dict[str, Any]:
         """Returns the fields of `Fit` and `Run` after an event, by default the last; raises NotFound as `config`."""
-        config, event = self.config(job_id), event or self.last(job_id)
+        folder = self.folder(job_id)
+        with self._deleted_is_not_found():
+            (folder / "request.json").stat()
+            config = json.loads((folder / "config.json").read_bytes())
+        event = event or self.last(job_id)
         model = self._model(job_id) if event.state == "succeeded" else None
         return {"id": job_id, **config, **vars(event), "model": model}
 
-    def metrics(self, job_id: str, *, from_step: int, max_rows: int) -> JobMetrics:
-        """Returns a job's metrics from a step on, decimated to `max_rows`: at most 10000; 0 for 1000.
+    def metrics(self, request: JobMetricsRequest) -> JobMetrics:
+        """Returns a job's metrics, decimated to `max_rows`.
 
         Raises NotFound when there is no such job, InvalidInput when `max_rows` is too large.
         """
-        most = _bounded(max_rows, default=_ROWS, most=_MAX_ROWS, field="max_rows")
-        self.check(job_id)
-        return read_metrics(self.folder(job_id) / "metrics.jsonl", from_step=from_step, max_rows=most)
+        most = _bounded(request.max_rows, default=_ROWS, most=_MAX_ROWS, field="max_rows")
+        self.check(request.id)
+        path = self.folder(request.id) / "metrics.jsonl"
+        return read_metrics(path, from_step=request.from_step, max_rows=most, keep_extremes=request.keep_extremes)
 
     def set_model(self, job_id: str, model: ModelRef) -> None:
         """Records durably the model that a job has made."""
@@ -296,9 +301,9 @@ class JobStore:
         return LineReader(self.folder(job_id) / "events.jsonl")
 
     def _model(self, job_id: str) -> ModelRef | None:
-        path = self.folder(job_id) / "model.json"
-        with self._deleted_is_not_found():
-            return ModelRef(**json.loads(path.read_bytes())) if path.is_file() else None
+        with suppress(FileNotFoundError):
+            return ModelRef(**json.loads((self.folder(job_id) / "model.json").read_bytes()))
+        return None
 
     @contextmanager
     def lock(self, job_id: str) -> Iterator[None]:

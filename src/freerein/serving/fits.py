@@ -123,9 +123,7 @@ class FitService:
 
     async def get_fit_metrics(self, request: learning.GetFitMetricsRequest) -> learning.GetFitMetricsResponse:
         """Returns the metrics of a fit from a step on, decimated. Raises NotFound when there is no such fit."""
-        found = await self._in_thread(
-            lambda: self._jobs.metrics(request.id, from_step=request.from_step, max_rows=request.max_rows)
-        )
+        found = await self._in_thread(lambda: self._jobs.metrics(request))
         return learning.GetFitMetricsResponse(**vars(found))
 
     async def cancel_fit(self, request: learning.CancelFitRequest) -> learning.CancelFitResponse:

@@ -90,10 +90,13 @@ class JobMetricsRequest(JobRequest):
     Attributes:
         from_step: First step wanted; 0 for all.
         max_rows: Maximum number of rows, at most 10000; 0 for 1000. More rows are decimated evenly.
+        keep_extremes: Of more rows, keeps those with the least and the greatest value of each metric among their
+            neighbours, not evenly spaced ones: a curve keeps its shape.
     """
 
     from_step: int = 0
     max_rows: int = 0
+    keep_extremes: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,8 +104,8 @@ class JobMetrics:
     """Metrics of one job.
 
     Attributes:
-        rows: In order of steps, evenly spaced over those recorded, with the first and the last; only the last if
-            `max_rows` is 1.
+        rows: In order of steps, with the first and the last, evenly spaced over those recorded unless `keep_extremes`
+            was asked for; only the last if `max_rows` is 1.
         total_rows: Number of rows recorded from `from_step` on, before decimation.
         next_step: `from_step` that returns only later rows.
     """

@@ -12,10 +12,17 @@ from freerein.types.jobs import Job, JobMetrics, JobMetricsRequest, JobRequest, 
 
 @dataclass(frozen=True, kw_only=True)
 class Run(Job):
-    """One run; `model` is published to a service, None until a run that makes one has succeeded."""
+    """One run.
+
+    Attributes:
+        model: Published to a service; None until a run that makes one has succeeded.
+        truth: What it is told that no learner may see, such as true rewards, and what for; empty where it is told
+            nothing.
+    """
 
     kind: str
     model: ModelRef | None = None
+    truth: str = ""
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,14 @@ FILE is an inherited descriptor, OPTIONS the JSON of an `Options`. It writes the
 
 import io
 import json
+import math
 import os
 import resource
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import chain
 from typing import Any, BinaryIO
 
 # PyAV imports some of these only with the first container, when no file can be opened any more.
@@ -78,7 +80,7 @@ def _records(file: BinaryIO, options: Options) -> Iterator[tuple[bytes, ...]]:
         stream = _video_stream(container, options)
         stream.codec_context.thread_count = 1
         stream.codec_context.options = limits
-        for frame in container.decode(stream):
+        for frame in _frames(container, stream, options.start_s):
             turn = _Turn.of(frame)
             if size is None:
                 size = turn.shown(frame.height, frame.width)
@@ -88,6 +90,30 @@ def _records(file: BinaryIO, options: Options) -> Iterator[tuple[bytes, ...]]:
             yield b"F", TIME.pack(frame.time or 0.0), _pixels(frame, turn, reformatter, options).tobytes()
     if not count:
         raise _Undecodable("corrupt")
+
+
+def _frames(container: Any, stream: Any, start_s: float) -> Iterator[av.VideoFrame]:
+    """Yields the frames from a time on, or the last one where all are before it.
+
+    Decodes from the keyframe before that time, or from the first one where the index of the file knows none.
+    """
+    frames: Iterator[av.VideoFrame] = container.decode(stream)
+    if start_s > 0:
+        container.seek(math.floor(start_s / stream.time_base), stream=stream)
+        first = next(frames, None)
+        if first is None or (first.time or 0.0) > start_s:
+            container.seek(0, stream=stream)
+            frames = container.decode(stream)
+        else:
+            frames = chain([first], frames)
+    before, is_due = None, False
+    for frame in frames:
+        is_due = is_due or (frame.time or 0.0) >= start_s
+        if is_due:
+            yield frame
+        before = frame
+    if not is_due and before is not None:
+        yield before
 
 
 def _video_stream(container: Any, options: Options) -> Any:

@@ -181,6 +181,7 @@ def open_video(
     *,
     channels: int = 3,
     size: tuple[int, int] | None = None,
+    start_s: float = 0.0,
     bounds: VideoBounds = VideoBounds(),
     field: str = "video",
 ) -> Video:
@@ -190,6 +191,7 @@ def open_video(
         source: An mp4 or mov file, or its contents.
         channels: Of the frames: 3 for RGB, 1 for gray (the luma of ITU-R BT.601).
         size: Height and width to resize frames to, whatever their aspect ratio; None to keep the file's.
+        start_s: Time of the first frame wanted, in seconds; those since the last keyframe are left out.
         bounds: Bounds of the video.
         field: Name of the video in the request, for errors.
 
@@ -209,7 +211,8 @@ def open_video(
     try:
         check_boxes(file, field=field)
         height, width = size or (0, 0)
-        options = Options(channels, height, width, bounds.frames, bounds.pixels, bounds.memory_bytes, bounds.cpu_s)
+        limits = (bounds.frames, bounds.pixels, bounds.memory_bytes, bounds.cpu_s)
+        options = Options(channels, height, width, *limits, start_s)
         return Video(file, options, bounds, field=field)
     finally:
         os.close(file)

@@ -22,7 +22,8 @@ class Options:
     """What to decode, and within which bounds.
 
     Frames have 3 channels for RGB, 1 for gray, and a height and width of 0 to keep the file's. `max_pixels` are those
-    of a frame of the file; `memory_bytes` and `cpu_s` those of the child process.
+    of a frame of the file; `memory_bytes` and `cpu_s` those of the child process. Frames before `start_s`, in seconds,
+    are left out, but for the last where all are.
     """
 
     channels: int
@@ -32,6 +33,7 @@ class Options:
     max_pixels: int
     memory_bytes: int
     cpu_s: int
+    start_s: float = 0.0
 
     def to_json(self) -> str:
         """Returns the options as JSON."""

@@ -517,6 +517,7 @@ export interface Run {
   model: ModelRef | null;
   error: string;
   time_ns: number;
+  truth: string;
 }
 
 export interface SaveLabelsRequest {
@@ -666,7 +667,7 @@ export interface Calls {
   "orchestrator/start-run": { request: Sent<StartRunRequest>; reply: StartRunResponse };
   "orchestrator/get-run": { request: { "id"?: string }; reply: GetRunResponse };
   "orchestrator/list-runs": { request: { "page_size"?: number; "page_token"?: string }; reply: ListRunsResponse };
-  "orchestrator/get-metrics": { request: { "id"?: string; "from_step"?: number; "max_rows"?: number }; reply: GetMetricsResponse };
+  "orchestrator/get-metrics": { request: { "id"?: string; "from_step"?: number; "max_rows"?: number; "keep_extremes"?: boolean }; reply: GetMetricsResponse };
   "orchestrator/cancel-run": { request: Sent<CancelRunRequest>; reply: CancelRunResponse };
   "orchestrator/resume-run": { request: Sent<ResumeRunRequest>; reply: ResumeRunResponse };
   "orchestrator/delete-run": { request: Sent<DeleteRunRequest>; reply: DeleteRunResponse };
@@ -681,7 +682,7 @@ export interface Calls {
   "segmentation/start-fit": { request: Sent<StartFitRequest>; reply: StartFitResponse };
   "segmentation/get-fit": { request: { "id"?: string }; reply: GetFitResponse };
   "segmentation/list-fits": { request: { "page_size"?: number; "page_token"?: string }; reply: ListFitsResponse };
-  "segmentation/get-fit-metrics": { request: { "id"?: string; "from_step"?: number; "max_rows"?: number }; reply: GetFitMetricsResponse };
+  "segmentation/get-fit-metrics": { request: { "id"?: string; "from_step"?: number; "max_rows"?: number; "keep_extremes"?: boolean }; reply: GetFitMetricsResponse };
   "segmentation/cancel-fit": { request: Sent<CancelFitRequest>; reply: CancelFitResponse };
   "segmentation/resume-fit": { request: Sent<ResumeFitRequest>; reply: ResumeFitResponse };
   "segmentation/delete-fit": { request: Sent<DeleteFitRequest>; reply: DeleteFitResponse };
@@ -694,7 +695,7 @@ export interface Calls {
   "imitation/start-fit": { request: Sent<StartFitRequest>; reply: StartFitResponse };
   "imitation/get-fit": { request: { "id"?: string }; reply: GetFitResponse };
   "imitation/list-fits": { request: { "page_size"?: number; "page_token"?: string }; reply: ListFitsResponse };
-  "imitation/get-fit-metrics": { request: { "id"?: string; "from_step"?: number; "max_rows"?: number }; reply: GetFitMetricsResponse };
+  "imitation/get-fit-metrics": { request: { "id"?: string; "from_step"?: number; "max_rows"?: number; "keep_extremes"?: boolean }; reply: GetFitMetricsResponse };
   "imitation/cancel-fit": { request: Sent<CancelFitRequest>; reply: CancelFitResponse };
   "imitation/resume-fit": { request: Sent<ResumeFitRequest>; reply: ResumeFitResponse };
   "imitation/delete-fit": { request: Sent<DeleteFitRequest>; reply: DeleteFitResponse };
@@ -708,7 +709,7 @@ export interface Calls {
   "reward/start-fit": { request: Sent<StartFitRequest>; reply: StartFitResponse };
   "reward/get-fit": { request: { "id"?: string }; reply: GetFitResponse };
   "reward/list-fits": { request: { "page_size"?: number; "page_token"?: string }; reply: ListFitsResponse };
-  "reward/get-fit-metrics": { request: { "id"?: string; "from_step"?: number; "max_rows"?: number }; reply: GetFitMetricsResponse };
+  "reward/get-fit-metrics": { request: { "id"?: string; "from_step"?: number; "max_rows"?: number; "keep_extremes"?: boolean }; reply: GetFitMetricsResponse };
   "reward/cancel-fit": { request: Sent<CancelFitRequest>; reply: CancelFitResponse };
   "reward/resume-fit": { request: Sent<ResumeFitRequest>; reply: ResumeFitResponse };
   "reward/delete-fit": { request: Sent<DeleteFitRequest>; reply: DeleteFitResponse };

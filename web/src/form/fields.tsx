@@ -1,7 +1,11 @@
 /** Inputs for the fields of a configuration; rarely changed ones are folded away. */
 import type { Field } from "./schema";
 
+/** Known names that a field may want, by its key. */
+export type Names = Readonly<Record<string, readonly string[]>>;
+
 interface FieldsProps {
+  readonly names: Names;
   readonly fields: readonly Field[];
   readonly texts: Readonly<Record<string, string>>;
   readonly errors: Readonly<Record<string, string>>;
@@ -9,6 +13,7 @@ interface FieldsProps {
 }
 
 const MOST_SHOWN = 8;
+const MOST_NAMES = 6;
 
 export function ConfigFields(props: FieldsProps) {
   const needed = props.fields.filter((each) => each.needed).length;
@@ -27,7 +32,18 @@ export function ConfigFields(props: FieldsProps) {
   );
 }
 
-function Grid({ fields, texts, errors, onText }: FieldsProps) {
+/** A few of the names that there are; all of them are suggested while one types. */
+export function KnownNames({ names }: { names: readonly string[] | undefined }) {
+  if (names === undefined) return null;
+  const first = names.slice(0, MOST_NAMES).join(", ");
+  return (
+    <span class="field-meaning">
+      {names.length === 0 ? "There are none yet." : `There are: ${first}${names.length > MOST_NAMES ? ", …" : ""}`}
+    </span>
+  );
+}
+
+function Grid({ names, fields, texts, errors, onText }: FieldsProps) {
   return (
     <div class="field-grid">
       {fields.map((field) => {
@@ -45,7 +61,8 @@ function Grid({ fields, texts, errors, onText }: FieldsProps) {
               </p>
             )}
             <p class="field-meaning" id={`meaning-${field.key}`}>
-              {plain(field.meaning)} {field.bounds && <span>[{field.bounds}]</span>}
+              {plain(field.meaning)} {field.bounds && <span>[{field.bounds}]</span>}{" "}
+              <KnownNames names={names[field.key]} />
             </p>
           </div>
         );

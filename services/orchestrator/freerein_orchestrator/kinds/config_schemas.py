@@ -8,9 +8,9 @@ from freerein_orchestrator.kinds import KINDS
 
 def run_config_schema() -> dict[str, Any]:
     """Returns the JSON schema of `config` of a run; its alternatives are called as their kinds, and forms, are."""
-    configs = {
-        " ".join(filter(None, (name, form))): config
+    schemas = [
+        {**config_schema(config, title=" ".join(filter(None, (name, form)))), "description": kind.meaning}
         for name, kind in sorted(KINDS.items())
         for form, config in kind.configs.items()
-    }
-    return {"anyOf": [config_schema(config, title=title) for title, config in configs.items()]}
+    ]
+    return {"anyOf": schemas}

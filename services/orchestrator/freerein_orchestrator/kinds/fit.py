@@ -125,6 +125,7 @@ KIND = Kind(
     steps=lambda config: int(config.config.get("steps", 0)),
     run=run,
     remote=RemoteWork(begin, cancel),
+    meaning="Fits a model of a learned service to a dataset, as New fit does, with artifacts of its own.",
 )
 
 

@@ -116,4 +116,10 @@ def _metrics(answer: SegmentResponse) -> dict[str, float]:
     return {"confidence": float(answer.confidence.mean()), "kept": float((answer.labels != NO_SKILL).mean())}
 
 
-KIND = Kind({"": LabelConfig}, partial(parse, LabelConfig), steps=lambda _: 0, run=run)
+KIND = Kind(
+    {"": LabelConfig},
+    partial(parse, LabelConfig),
+    steps=lambda _: 0,
+    run=run,
+    meaning="Labels every timestep of a dataset by a segmentation model.",
+)

@@ -107,7 +107,13 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
                 kinds[step.kind].check(step.config, store, earlier)
             earlier.append(step.name)
 
-    return Kind({"": PipelineConfig}, parse_pipeline, steps, partial(_run, kinds), check, dump)
+    def truth(config: Mapping[str, Any]) -> str:
+        told = [kinds[step["kind"]].truth(step["config"]) for step in config["steps"] if step["kind"] in kinds]
+        return "; ".join(filter(None, dict.fromkeys(told)))
+
+    meaning = "Does runs of other kinds in order, as steps of one run."
+    run = partial(_run, kinds)
+    return Kind({"": PipelineConfig}, parse_pipeline, steps, run, check, dump, truth, meaning=meaning)
 
 
 def _parse_step(kinds: Mapping[Any, Kind[Any]], step: StepConfig) -> Step:

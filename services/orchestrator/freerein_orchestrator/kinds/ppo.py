@@ -168,8 +168,20 @@ def check(config: PPORunConfig, store: PolicyStore, earlier: Collection[str]) ->
         find_training(store, config.resume_from, config, field=_RESUME_FIELD)
 
 
+def truth(config: Mapping[str, Any]) -> str:
+    """Returns the supervision by a reward that is privileged; empty for another."""
+    entry = REWARDS.get(config.get("reward", ""))
+    return entry.supervision if entry is not None and entry.privileged else ""
+
+
 KIND = Kind(
-    {"": PPORunConfig}, partial(parse, PPORunConfig), steps=lambda config: config.iterations, run=run, check=check
+    {"": PPORunConfig},
+    partial(parse, PPORunConfig),
+    steps=lambda config: config.iterations,
+    run=run,
+    check=check,
+    truth=truth,
+    meaning="Trains a policy for one task by PPO, on a reward for what its frames show.",
 )
 
 

@@ -18,6 +18,7 @@ from freerein.config import bounded, parse
 from freerein.errors import InvalidInput
 from freerein.types.common import check_name
 from freerein.types.sim import Task
+from freerein_orchestrator.kinds import evaluate
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.evaluate.recipes import COMPLETED, WHOLE
 from freerein_orchestrator.kinds.evaluate.record import RESULT
@@ -148,7 +149,14 @@ def skills_kind(pipeline: Kind[Pipeline]) -> Kind[SkillsRunConfig]:
         config = parse(SkillsRunConfig, values)
         return replace(config, name=config.shared_name)
 
-    return Kind({"": SkillsRunConfig}, named, steps=lambda config: config.steps, run=run)
+    return Kind(
+        {"": SkillsRunConfig},
+        named,
+        steps=lambda config: config.steps,
+        run=run,
+        truth=evaluate.KIND.truth,
+        meaning="Goes from demonstrations with tags to policies that execute recipes longer than any demonstration.",
+    )
 
 
 def _write_result(context: RunContext, task: Task) -> None:

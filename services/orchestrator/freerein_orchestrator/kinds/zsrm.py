@@ -140,7 +140,8 @@ def zsrm_kind(pipeline: Kind[Pipeline]) -> Kind[ZsrmRunConfig]:
     def steps(config: ZsrmRunConfig) -> int:
         return config.count + int(config.fit["steps"]) + config.training(config.text).iterations
 
-    return Kind({"": ZsrmRunConfig}, named, steps=steps, run=run)
+    meaning = "Goes from a goal in words to a policy, by a zero-shot reward model."
+    return Kind({"": ZsrmRunConfig}, named, steps=steps, run=run, meaning=meaning)
 
 
 def _scenes_of(context: RunContext, task: Task) -> str:

@@ -68,6 +68,7 @@ class RunService:
         queue: The runs in the database.
         resolve: Returns the resolved request for a kind and a partial configuration; raises InvalidInput.
         health: Ends the streams of `watch_run` on drain.
+        truth: Returns what a run of a kind and configuration is told that no learner may see; empty for nothing.
         check_unused: Raises FailedPrecondition where a run, by its id, must not be deleted, for another builds on it.
     """
 
@@ -78,9 +79,11 @@ class RunService:
         *,
         resolve: Resolve,
         health: Health,
+        truth: Callable[[str, Mapping[str, Any]], str] = lambda _kind, _config: "",
         check_unused: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._store = store
+        self._truth = truth
         self._check_unused = check_unused
         self._queue = queue
         self._resolve = resolve
@@ -182,13 +185,11 @@ class RunService:
             return await self._health.await_or_drain(asyncio.sleep(_POLL_S, True)) is not None
 
         async for sequence, fields in self._store.watch(request.id, from_sequence=request.from_sequence, pause=pause):
-            yield orchestrator.WatchRunResponse(sequence, orchestrator.Run(**fields))
+            yield orchestrator.WatchRunResponse(sequence, self._of_fields(fields))
 
     async def get_metrics(self, request: orchestrator.GetMetricsRequest) -> orchestrator.GetMetricsResponse:
         """Returns the metrics of a run from a step on, decimated. Raises NotFound when there is no such run."""
-        found = await asyncio.to_thread(
-            self._store.metrics, request.id, from_step=request.from_step, max_rows=request.max_rows
-        )
+        found = await asyncio.to_thread(self._store.metrics, request)
         return orchestrator.GetMetricsResponse(**vars(found))
 
     async def cancel_run(self, request: orchestrator.CancelRunRequest) -> orchestrator.CancelRunResponse:
@@ -300,9 +301,14 @@ class RunService:
 
     def _run_in(self, state: JobState, run_id: str) -> orchestrator.Run:
         """Returns a run whose state in the database is given; records first an end that is not recorded on disk."""
-        if state in ENDED and state != self._store.last(run_id).state:
+        event = self._store.last(run_id)
+        if state in ENDED and state != event.state:
             self._record_end(run_id)
-        return orchestrator.Run(**self._store.fields(run_id))
+            event = self._store.last(run_id)
+        return self._of_fields(self._store.fields(run_id, event))
+
+    def _of_fields(self, fields: Mapping[str, Any]) -> orchestrator.Run:
+        return orchestrator.Run(**fields, truth=self._truth(fields["kind"], fields["config"]))
 
     def _record_end(self, run_id: str) -> None:
         try:

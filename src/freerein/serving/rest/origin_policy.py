@@ -67,7 +67,8 @@ def _own_origins(host: str) -> tuple[str, str]:
 def _is_own_request(headers: Headers) -> bool:
     """Returns whether a request without `Origin` is of no browser, of the service's own page, or opens a page."""
     site, mode = headers.get("sec-fetch-site", "none"), headers.get("sec-fetch-mode")
-    return site in ("none", "same-origin") or mode == "navigate"
+    opens_page = mode == "navigate" and headers.get("sec-fetch-dest", "document") == "document"  # and no frame
+    return site in ("none", "same-origin") or opens_page
 
 
 def _is_loopback(host: str) -> bool:

@@ -25,6 +25,11 @@ export function DataPanel() {
           </ul>
         </nav>
       </div>
+      <p class="lede">
+        {shown === "datasets"
+          ? "Recordings to learn from, with the skills that occur in them."
+          : "What was learned. The active version of a name answers calls that name no version."}
+      </p>
       {shown === "datasets" ? <Datasets /> : <Models />}
     </>
   );

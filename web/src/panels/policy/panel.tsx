@@ -23,6 +23,9 @@ export function PolicyPanel() {
   return (
     <>
       <h1>A policy, live</h1>
+      <p class="lede">
+        A learned policy moves a robot in a simulated world towards a goal. Give it a goal, then press Act.
+      </p>
       <Shown remote={remote} what="policies and worlds" retry={retry}>
         {(stage) => <Chosen {...stage} />}
       </Shown>
@@ -121,6 +124,7 @@ function Live({ specs, worlds, spec, task, seed }: LiveProps) {
             type="button"
             class={goal ? "main-action" : ""}
             disabled={!canAct && status !== "acting"}
+            title={goal ? undefined : "It needs a goal first"}
             onClick={() => (status === "acting" ? episode.pause() : void episode.run())}
           >
             {status === "acting" ? "Pause" : "Act"}
@@ -155,7 +159,7 @@ function Live({ specs, worlds, spec, task, seed }: LiveProps) {
           </select>
         </label>
         <label>
-          Seed
+          Seed of the start state
           <input type="number" min={0} value={seed} onChange={(event) => amend({ seed: event.currentTarget.value })} />
         </label>
         <GoalForm spec={spec} task={task} episode={episode} />

@@ -81,8 +81,8 @@ function Flag({ episode }: { episode: Episode }) {
         <rect class="flag-fill" x={8} y={2 + 96 * (1 - confidence)} width={24} height={96 * confidence} />
         <line class="flag-threshold" x1={2} x2={38} y1={2 + 96 * (1 - threshold)} y2={2 + 96 * (1 - threshold)} />
       </svg>
-      <span>{isReached ? "reached" : confidence.toFixed(2)}</span>
-      <span class="faint">from {threshold.toFixed(2)}</span>
+      <span>goal {isReached ? "reached" : confidence.toFixed(2)}</span>
+      <span class="faint">reached from {threshold.toFixed(2)}</span>
     </div>
   );
 }

@@ -25,6 +25,9 @@ export function RewardPanel() {
   return (
     <>
       <h1>Reward</h1>
+      <p class="lede">
+        How well each image shows what a sentence asks for: 1 where it fits better than all its rivals.
+      </p>
       <Shown remote={remote} what="the worlds" retry={retry}>
         {(tasks) => <Judge tasks={tasks.filter((each) => each.goal_text !== "" && each.has_expert)} />}
       </Shown>

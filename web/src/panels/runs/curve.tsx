@@ -1,6 +1,6 @@
 /** One metric over steps, of one job or of two, by uPlot; its numbers are there as text. */
 import { useEffect, useRef } from "preact/hooks";
-import uPlot from "uplot";
+import type uPlot from "uplot";
 import { thin, type Points } from "../../curves/thin";
 import { short } from "../../parts/numbers";
 import type { Mark } from "./series";
@@ -10,7 +10,10 @@ const TABLE_ROWS = 12;
 /** Distances of marks on the axis of steps. */
 const WHOLE_STEPS = [1, 10, 100, 1e3, 1e4, 1e5, 1e6].flatMap((each) => [each, 2 * each, 5 * each]);
 
+export type PlotClass = typeof uPlot;
+
 interface CurveProps {
+  readonly Plot: PlotClass;
   readonly name: string;
   readonly points: Points;
   readonly other?: Points;
@@ -28,7 +31,7 @@ export function Curve(props: CurveProps) {
     const element = box.current!;
     const make = (): void => {
       plot.current?.destroy();
-      plot.current = new uPlot(
+      plot.current = new props.Plot(
         optionsOf(element, () => drawn.current),
         dataOf(drawn.current, element.clientWidth),
         element,
@@ -63,12 +66,12 @@ export function Curve(props: CurveProps) {
 }
 
 /** Returns aligned columns of both curves, thinned to what the width can show. */
-function dataOf({ points, other }: CurveProps, width: number): uPlot.AlignedData {
+function dataOf({ Plot, points, other }: CurveProps, width: number): uPlot.AlignedData {
   const most = Math.max(200, 2 * width);
   const first = thin(points, most);
   if (!other) return [[...first.x], [...first.y]];
   const second = thin(other, most);
-  return uPlot.join([
+  return Plot.join([
     [[...first.x], [...first.y]],
     [[...second.x], [...second.y]],
   ]);
@@ -123,10 +126,10 @@ function drawMarks(plot: uPlot, { marks, checkpoints }: CurveProps, strong: stri
 }
 
 function NumberTable({ name, points, other }: { name: string; points: Points; other?: Points }) {
-  const every = Math.max(1, Math.ceil(points.x.length / TABLE_ROWS));
-  const shown = points.x
-    .map((_, index) => index)
-    .filter((index) => index % every === 0 || index === points.x.length - 1);
+  const count = Math.min(points.x.length, TABLE_ROWS);
+  const shown = Array.from({ length: count }, (_, row) =>
+    Math.round((row * (points.x.length - 1)) / Math.max(1, count - 1)),
+  );
   const beside = new Map(other?.x.map((step, index) => [step, other.y[index]]));
   return (
     <table>

@@ -1,8 +1,9 @@
 /** One job: state, curves that grow, events, artifacts, configuration; another one beside it to compare. */
 import { useEffect, useState } from "preact/hooks";
 import { asProblem, type Problem } from "../../api/problem";
+import { useRemote } from "../../api/remote";
 import { Link } from "../../parts/link";
-import { Empty, Failed, Loading } from "../../parts/notice";
+import { Empty, Failed, Loading, Shown } from "../../parts/notice";
 import { short } from "../../parts/numbers";
 import { say } from "../../parts/say";
 import { Twice } from "../../parts/twice";
@@ -13,7 +14,6 @@ import { cancel, isOver, remove, resume, type Job, type Owner, OWNERS } from "./
 import { LiveJob } from "./live_job";
 import { checkpointSteps, inOrder } from "./series";
 import { StateBadge } from "./state_badge";
-import { truthSeen } from "./truth";
 
 const MOST_CURVES = 12;
 
@@ -66,7 +66,6 @@ function Head({ job, onResumed }: { job: Job; onResumed: () => void }) {
     setProblem(null);
     work(job).then(then, (error: unknown) => setProblem(asProblem(error)));
   };
-  const truth = truthSeen(job);
   return (
     <header class="job-head">
       <p>
@@ -74,8 +73,12 @@ function Head({ job, onResumed }: { job: Job; onResumed: () => void }) {
       </p>
       <h2>
         {job.kind} <span class="faint">{job.about}</span> <StateBadge state={job.state} />
-        {truth && <span class="state truth">{truth}</span>}
       </h2>
+      {job.truth && (
+        <p>
+          <span class="state truth">sees the truth</span> {job.truth}
+        </p>
+      )}
       <div class="job-progress">
         <progress aria-label="Steps" max={Math.max(job.steps, 1)} value={job.step} />
         <span>
@@ -116,6 +119,7 @@ function Curves({ live, other, job }: { live: LiveJob; other: LiveJob | null; jo
   const [showsAll, setShowsAll] = useState(false);
   const series = live.series.value;
   const names = inOrder(Object.keys(series));
+  const [drawing, retry] = useRemote(() => import("uplot"), "uplot");
   const shown = showsAll ? names : names.slice(0, MOST_CURVES);
   if (names.length === 0) {
     return (
@@ -132,18 +136,23 @@ function Curves({ live, other, job }: { live: LiveJob; other: LiveJob | null; jo
           {other.job.value.kind} {other.job.value.about}
         </p>
       )}
-      <div class="curves">
-        {shown.map((each) => (
-          <Curve
-            key={each}
-            name={each}
-            points={series[each]!}
-            other={other?.series.value[each]}
-            marks={live.marks.value}
-            checkpoints={checkpointSteps(job.config, job.step)}
-          />
-        ))}
-      </div>
+      <Shown remote={drawing} what="the curves" retry={retry}>
+        {({ default: Plot }) => (
+          <div class="curves">
+            {shown.map((each) => (
+              <Curve
+                key={each}
+                name={each}
+                Plot={Plot}
+                points={series[each]!}
+                other={other?.series.value[each]}
+                marks={live.marks.value}
+                checkpoints={checkpointSteps(job.config, job.step)}
+              />
+            ))}
+          </div>
+        )}
+      </Shown>
       {names.length > MOST_CURVES && (
         <button type="button" onClick={() => setShowsAll(!showsAll)}>
           {showsAll ? "Show fewer" : `Show all ${names.length} curves`}

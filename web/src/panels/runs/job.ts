@@ -21,6 +21,8 @@ export interface Job {
   readonly metrics: Readonly<Record<string, number>>;
   readonly model: ModelRef | null;
   readonly error: string;
+  /** What it is told that no learner may see, and what for; empty for nothing. */
+  readonly truth: string;
   /** Unix time of the last event in milliseconds; 0 for none. */
   readonly time: number;
 }
@@ -33,12 +35,12 @@ export function jobOfRun(run: Run): Job {
   const about = ["task", "dataset", "model_name"]
     .map((key) => run.config[key])
     .filter((each) => typeof each === "string" && each);
-  return { ...common(run), owner: "orchestrator", kind: run.kind, about: about.join(" → ") };
+  return { ...common(run), owner: "orchestrator", kind: run.kind, about: about.join(" → "), truth: run.truth };
 }
 
 export function jobOfFit(fit: Fit, owner: LearnedService): Job {
   const kind = `fit ${String(fit.config.method ?? owner)}`;
-  return { ...common(fit), owner, kind, about: `${fit.dataset} → ${fit.model_name || "default"}` };
+  return { ...common(fit), owner, kind, about: `${fit.dataset} → ${fit.model_name || "default"}`, truth: "" };
 }
 
 function common(job: Run | Fit) {
@@ -64,9 +66,9 @@ export function jobOf(message: { run?: Run | null; fit?: Fit | null }, owner: Ow
 
 export interface Jobs {
   readonly jobs: readonly Job[];
-  /** Services that did not answer. */
   /** Whether a service has older ones, too. */
   readonly areMore: boolean;
+  /** Services that did not answer. */
   readonly away: readonly { readonly owner: Owner; readonly problem: Problem }[];
 }
 
@@ -142,7 +144,7 @@ export async function metricsOf(
   id: string,
   fromStep: number,
 ): Promise<{ rows: readonly MetricRow[]; next: number }> {
-  const request = { id, from_step: fromStep, max_rows: MOST_ROWS };
+  const request = { id, from_step: fromStep, max_rows: MOST_ROWS, keep_extremes: true };
   const reply = await (owner === "orchestrator"
     ? call("orchestrator/get-metrics", request)
     : call(`${owner}/get-fit-metrics`, request));

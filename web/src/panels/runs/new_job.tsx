@@ -4,12 +4,9 @@ import { call, LEARNED, prefixOf, send, type LearnedService } from "../../api/cl
 import { asProblem, type Problem } from "../../api/problem";
 import { useRemote } from "../../api/remote";
 import { configOf, configSchemas, constantsOf, fieldsOf, type Schema } from "../../form/schema";
-import { ConfigFields } from "../../form/fields";
+import { ConfigFields, KnownNames, type Names } from "../../form/fields";
 import { Failed, Shown } from "../../parts/notice";
 import { amend, open, query } from "../../url/location";
-
-/** Known names that a field may want, by its key. */
-type Names = Readonly<Record<string, readonly string[]>>;
 
 interface Choice {
   readonly title: string;
@@ -68,6 +65,7 @@ function Chooser({ what, choices }: { what: "run" | "fit"; choices: readonly Cho
           ))}
         </select>
       </label>
+      {chosen.schema.description && <p>{chosen.schema.description}</p>}
       <JobForm key={nameOf(chosen)} choice={chosen} names={names.state === "ready" ? names.value : {}} />
     </>
   );
@@ -122,6 +120,7 @@ function JobForm({ choice, names }: { choice: Choice; names: Names }) {
               value={target.dataset}
               onInput={(event) => setTarget({ ...target, dataset: event.currentTarget.value })}
             />
+            <KnownNames names={names.dataset} />
           </label>
           <label>
             model_name
@@ -135,6 +134,7 @@ function JobForm({ choice, names }: { choice: Choice; names: Names }) {
       )}
       <ConfigFields
         fields={fields}
+        names={names}
         texts={texts}
         errors={isTried ? errors : {}}
         onText={(key, text) => setTexts({ ...texts, [key]: text })}

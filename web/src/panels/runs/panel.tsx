@@ -31,6 +31,12 @@ export function RunsPanel() {
           </ul>
         </nav>
       </div>
+      {!job && (
+        <p class="lede">
+          A run records data, trains or measures; a fit trains one model on one dataset. Both go on after a crash, and
+          without this page.
+        </p>
+      )}
       {start === "run" || start === "fit" ? (
         <NewJob key={start} what={start} />
       ) : job ? (

@@ -5,6 +5,7 @@ import { asProblem, type Problem } from "../../api/problem";
 import { useRemote } from "../../api/remote";
 import { fromBase64 } from "../../api/tensors";
 import type { Dataset, GetTrajectoryResponse, Image, ListSkillsResponse } from "../../api/types";
+import { Link } from "../../parts/link";
 import { Empty, Failed, Loading, Shown } from "../../parts/notice";
 import { amend, query } from "../../url/location";
 import { PagedFrames } from "./frames";
@@ -35,7 +36,8 @@ function Chosen({ datasets, children }: DatasetSourceProps & { datasets: readonl
   if (!dataset) {
     return (
       <Empty title="No datasets yet">
-        Record one with a run of kind collect, or import your own folder: <code>freerein dataset import</code>.
+        <Link to={{ view: "runs", start: "run", kind: "collect" }}>Record one</Link> in a world, or import a folder of
+        yours: <code>freerein dataset import</code>.
       </Empty>
     );
   }

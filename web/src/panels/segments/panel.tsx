@@ -1,10 +1,8 @@
 /** Segments: a recording with its skill bar, to look at, to correct, and to take away. */
 import { useEffect, useState } from "preact/hooks";
 import type { ComponentChildren } from "preact";
-import { useRemote } from "../../api/remote";
 import { Icon } from "../../parts/icon";
 import { Link } from "../../parts/link";
-import { Shown } from "../../parts/notice";
 import { open, query } from "../../url/location";
 import { DatasetSource } from "./dataset";
 import { openDemonstration } from "./demonstration";
@@ -54,6 +52,10 @@ export function SegmentsPanel() {
           </ul>
         </nav>
       </div>
+      <p class="lede">
+        Which skill is in use at each moment of a recording, found by a model. Drag a boundary or rename a skill to
+        correct it.
+      </p>
       {source === "demonstration" && <Demonstration />}
       {source === "dataset" && (
         <DatasetSource>
@@ -71,12 +73,8 @@ export function SegmentsPanel() {
 }
 
 function Demonstration() {
-  const [remote, retry] = useRemote(openDemonstration, "demonstration");
-  return (
-    <Shown remote={remote} what="the demonstration" retry={retry}>
-      {(recording) => <Viewer recording={recording} />}
-    </Shown>
-  );
+  const [recording] = useState(openDemonstration);
+  return <Viewer recording={recording} />;
 }
 
 /** A recording, its labels and what can be done to them. */

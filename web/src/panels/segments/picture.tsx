@@ -1,6 +1,7 @@
 /** Frames on canvases: the one of the timestep, and a strip of small ones over the whole recording. */
 import { useSignalEffect } from "@preact/signals";
-import { useEffect, useRef } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
+import { asProblem, type Problem } from "../../api/problem";
 import type { Editor } from "./editor";
 import type { Frames } from "./frames";
 import { UNFAMILIAR } from "./recording";
@@ -14,11 +15,15 @@ export function Stage({ editor }: { editor: Editor }) {
   const { recording } = editor;
   const canvas = useRef<HTMLCanvasElement>(null);
   const wanted = useRef(-1);
+  const [problem, setProblem] = useState<Problem | null>(null);
   useSignalEffect(() => {
     const timestep = editor.timestep.value;
     wanted.current = timestep;
     if (recording.frames && canvas.current)
-      void draw(recording.frames, canvas.current, timestep, () => wanted.current === timestep);
+      draw(recording.frames, canvas.current, timestep, () => wanted.current === timestep).then(
+        () => setProblem(null),
+        (error: unknown) => setProblem(asProblem(error)),
+      );
   });
   const segment = editor.segments[editor.current.value]!;
   const confidence = recording.confidence[editor.timestep.value];
@@ -39,6 +44,11 @@ export function Stage({ editor }: { editor: Editor }) {
       )}
       <figcaption>
         <span class={`skill-name ${skillClass(recording.skills, segment.skill)}`}>{segment.skill || "no skill"}</span>
+        {problem && (
+          <span class="field-error" role="alert">
+            This frame cannot be shown. {problem.detail}
+          </span>
+        )}
         {confidence !== undefined && <span>confidence {confidence.toFixed(2)}</span>}
         {familiar !== undefined && familiar < UNFAMILIAR && (
           <span class="unfamiliar-flag">unlike the training data</span>
@@ -58,7 +68,7 @@ async function draw(
   const context = canvas.getContext("2d")!;
   await new Promise(requestAnimationFrame);
   if (!isWanted()) return;
-  await frames.draw(context, timestep, { x: 0, y: 0, width: canvas.width, height: canvas.height }).catch(() => false);
+  await frames.draw(context, timestep, { x: 0, y: 0, width: canvas.width, height: canvas.height });
 }
 
 export function Filmstrip({ editor }: { editor: Editor }) {

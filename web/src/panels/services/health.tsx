@@ -6,6 +6,7 @@ import { query } from "../../url/location";
 
 export type Readiness = "unknown" | "ready" | "not ready" | "away";
 
+const FIRST_MS = 250;
 const PERIOD_MS = 3000;
 const PATIENCE_MS = 2500;
 
@@ -17,14 +18,17 @@ export const readiness = signal<Readonly<Record<Service, Readiness>>>({
   sim: "unknown",
 });
 
-/** Asks until the returned function is called. */
+/** Asks until the returned function is called; at first once the page is there, which it would hold up. */
 export function watchHealth(): () => void {
   const ask = (): void => {
     if (document.visibilityState === "visible") void Promise.all(SERVICES.map(askOne));
   };
-  ask();
+  const first = window.setTimeout(ask, FIRST_MS);
   const timer = window.setInterval(ask, PERIOD_MS);
-  return () => window.clearInterval(timer);
+  return () => {
+    window.clearTimeout(first);
+    window.clearInterval(timer);
+  };
 }
 
 async function askOne(service: Service): Promise<void> {

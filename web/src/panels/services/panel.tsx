@@ -20,6 +20,7 @@ export function ServicesPanel() {
   return (
     <>
       <h1>Services</h1>
+      <p class="lede">The five programs behind this page, how long their calls take, and what they refuse.</p>
       <div class="cards">
         {SERVICES.map((each) => (
           <ServiceCard key={each} service={each} turn={turn} />
@@ -77,10 +78,10 @@ async function figuresOf(service: Service, signal: AbortSignal): Promise<Record<
   return {
     version: versions.get(service)!,
     calls: String(sum(metrics, "freerein_calls_total", isUnary)),
-    p50: milliseconds(quantile(metrics, "freerein_call_seconds", 0.5, isUnary)),
-    p99: milliseconds(quantile(metrics, "freerein_call_seconds", 0.99, isUnary)),
-    queued: String(sum(metrics, "freerein_queued_items")),
-    rejected: String(sum(metrics, "freerein_calls_total", isReject)),
+    "median (p50)": milliseconds(quantile(metrics, "freerein_call_seconds", 0.5, isUnary)),
+    "slowest 1 % (p99)": milliseconds(quantile(metrics, "freerein_call_seconds", 0.99, isUnary)),
+    waiting: String(sum(metrics, "freerein_queued_items")),
+    refused: String(sum(metrics, "freerein_calls_total", isReject)),
     "open streams": String(sum(metrics, "freerein_open_streams")),
     "free disk": gigabytes(sum(metrics, "freerein_data_free_bytes")),
   };

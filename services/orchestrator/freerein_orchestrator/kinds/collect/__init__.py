@@ -66,4 +66,11 @@ def check(config: CollectConfig, store: PolicyStore, earlier: Collection[str]) -
             store.folder(part.policy, field=PARTS_FIELD)
 
 
-KIND = Kind({"": CollectConfig}, partial(parse, CollectConfig), steps=lambda config: config.count, run=run, check=check)
+KIND = Kind(
+    {"": CollectConfig},
+    partial(parse, CollectConfig),
+    steps=lambda config: config.count,
+    run=run,
+    check=check,
+    meaning="Records a scripted or a curious behaviour, or a mix of policies, in a task as a dataset.",
+)

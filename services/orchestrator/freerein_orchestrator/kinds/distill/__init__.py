@@ -172,7 +172,14 @@ def _fitted(context: RunContext, config: DistillConfig) -> Iterator[ModelRef]:
         yield ModelRef(**json.loads(path.read_bytes()))
 
 
-KIND = Kind({"": DistillConfig}, partial(parse, DistillConfig), steps, run, check)
+KIND = Kind(
+    {"": DistillConfig},
+    partial(parse, DistillConfig),
+    steps,
+    run,
+    check,
+    meaning="Clones policies for one task each into one policy that follows sentences.",
+)
 
 
 def _check_teachers(config: DistillConfig, policies: Sequence[StoredPolicy]) -> None:

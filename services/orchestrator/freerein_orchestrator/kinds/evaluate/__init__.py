@@ -82,4 +82,12 @@ def run(context: RunContext, config: FormConfig) -> None:
 
 
 _CONFIGS = {name: form.config for name, form in FORMS.items()}
-KIND = Kind(_CONFIGS, _parse, steps=lambda config: config.episodes, run=run, check=check)
+KIND = Kind(
+    _CONFIGS,
+    _parse,
+    steps=lambda config: config.episodes,
+    run=run,
+    check=check,
+    truth=lambda _: "true states, which are privileged: to measure",
+    meaning="Measures policies and models against true states, which only an evaluation may see.",
+)

@@ -27,7 +27,7 @@ from freerein.api.jobs.v1 import jobs_pb2 as freerein_dot_api_dot_jobs_dot_v1_do
 from google.protobuf import struct_pb2 as google_dot_protobuf_dot_struct__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'freerein/api/learning/v1/learning.proto\x12\x18\x66reerein.api.learning.v1\x1a#freerein/api/common/v1/common.proto\x1a\x1f\x66reerein/api/jobs/v1/jobs.proto\x1a\x1cgoogle/protobuf/struct.proto\"\xe9\x02\n\x03\x46it\x12\n\n\x02id\x18\x01 \x01(\t\x12-\n\x05state\x18\x02 \x01(\x0e\x32\x1e.freerein.api.jobs.v1.JobState\x12\x0f\n\x07\x64\x61taset\x18\x03 \x01(\t\x12\x12\n\nmodel_name\x18\x04 \x01(\t\x12\'\n\x06\x63onfig\x18\x05 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x0c\n\x04step\x18\x06 \x01(\x04\x12\r\n\x05steps\x18\x07 \x01(\x04\x12;\n\x07metrics\x18\x08 \x03(\x0b\x32*.freerein.api.learning.v1.Fit.MetricsEntry\x12/\n\x05model\x18\t \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\r\n\x05\x65rror\x18\n \x01(\t\x12\x0f\n\x07time_ns\x18\x0b \x01(\x04\x1a.\n\x0cMetricsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"\x92\x01\n\x0fStartFitRequest\x12\x15\n\x07\x64\x61taset\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x18\n\nmodel_name\x18\x02 \x01(\tB\x04\x88\xb5\x18@\x12/\n\x06\x63onfig\x18\x03 \x01(\x0b\x32\x17.google.protobuf.StructB\x06\x88\xb5\x18\x80\x80\x02\x12\x1d\n\x0fidempotency_key\x18\x04 \x01(\tB\x04\x88\xb5\x18@\">\n\x10StartFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"!\n\rGetFitRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\"<\n\x0eGetFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\">\n\x0fListFitsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x18\n\npage_token\x18\x02 \x01(\tB\x04\x88\xb5\x18@\"X\n\x10ListFitsResponse\x12+\n\x04\x66its\x18\x01 \x03(\x0b\x32\x1d.freerein.api.learning.v1.Fit\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\":\n\x0fWatchFitRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x15\n\rfrom_sequence\x18\x02 \x01(\x04\"P\n\x10WatchFitResponse\x12\x10\n\x08sequence\x18\x01 \x01(\x04\x12*\n\x03\x66it\x18\x02 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"M\n\x14GetFitMetricsRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x11\n\tfrom_step\x18\x02 \x01(\x04\x12\x10\n\x08max_rows\x18\x03 \x01(\r\"m\n\x15GetFitMetricsResponse\x12-\n\x04rows\x18\x01 \x03(\x0b\x32\x1f.freerein.api.jobs.v1.MetricRow\x12\x12\n\ntotal_rows\x18\x02 \x01(\x04\x12\x11\n\tnext_step\x18\x03 \x01(\x04\"$\n\x10\x43\x61ncelFitRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\"?\n\x11\x43\x61ncelFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"$\n\x10ResumeFitRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\"?\n\x11ResumeFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"$\n\x10\x44\x65leteFitRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\"\x13\n\x11\x44\x65leteFitResponse\"~\n\x05Model\x12-\n\x03ref\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x0e\n\x06\x61\x63tive\x18\x02 \x01(\x08\x12%\n\x04\x63\x61rd\x18\x03 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x0f\n\x07time_ns\x18\x04 \x01(\x04\"\x13\n\x11ListModelsRequest\"E\n\x12ListModelsResponse\x12/\n\x06models\x18\x01 \x03(\x0b\x32\x1f.freerein.api.learning.v1.Model\"a\n\x14\x41\x63tivateModelRequest\x12\x12\n\x04name\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x15\n\x07version\x18\x02 \x01(\tB\x04\x88\xb5\x18@\x12\x1e\n\x10\x65xpected_current\x18\x03 \x01(\tB\x04\x88\xb5\x18@\"G\n\x15\x41\x63tivateModelResponse\x12.\n\x05model\x18\x01 \x01(\x0b\x32\x1f.freerein.api.learning.v1.Model\"T\n\x12\x44\x65leteModelRequest\x12\x12\n\x04name\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x15\n\x07version\x18\x02 \x01(\tB\x04\x88\xb5\x18@\x12\x13\n\x0b\x65ven_active\x18\x03 \x01(\x08\"G\n\x13\x44\x65leteModelResponse\x12\x30\n\x06models\x18\x01 \x03(\x0b\x32 .freerein.api.common.v1.ModelRef2\xb8\x06\n\nFitService\x12\x61\n\x08StartFit\x12).freerein.api.learning.v1.StartFitRequest\x1a*.freerein.api.learning.v1.StartFitResponse\x12[\n\x06GetFit\x12\'.freerein.api.learning.v1.GetFitRequest\x1a(.freerein.api.learning.v1.GetFitResponse\x12\x61\n\x08ListFits\x12).freerein.api.learning.v1.ListFitsRequest\x1a*.freerein.api.learning.v1.ListFitsResponse\x12\x63\n\x08WatchFit\x12).freerein.api.learning.v1.WatchFitRequest\x1a*.freerein.api.learning.v1.WatchFitResponse0\x01\x12p\n\rGetFitMetrics\x12..freerein.api.learning.v1.GetFitMetricsRequest\x1a/.freerein.api.learning.v1.GetFitMetricsResponse\x12\x64\n\tCancelFit\x12*.freerein.api.learning.v1.CancelFitRequest\x1a+.freerein.api.learning.v1.CancelFitResponse\x12\x64\n\tResumeFit\x12*.freerein.api.learning.v1.ResumeFitRequest\x1a+.freerein.api.learning.v1.ResumeFitResponse\x12\x64\n\tDeleteFit\x12*.freerein.api.learning.v1.DeleteFitRequest\x1a+.freerein.api.learning.v1.DeleteFitResponse2\xd5\x02\n\x0cModelService\x12g\n\nListModels\x12+.freerein.api.learning.v1.ListModelsRequest\x1a,.freerein.api.learning.v1.ListModelsResponse\x12p\n\rActivateModel\x12..freerein.api.learning.v1.ActivateModelRequest\x1a/.freerein.api.learning.v1.ActivateModelResponse\x12j\n\x0b\x44\x65leteModel\x12,.freerein.api.learning.v1.DeleteModelRequest\x1a-.freerein.api.learning.v1.DeleteModelResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'freerein/api/learning/v1/learning.proto\x12\x18\x66reerein.api.learning.v1\x1a#freerein/api/common/v1/common.proto\x1a\x1f\x66reerein/api/jobs/v1/jobs.proto\x1a\x1cgoogle/protobuf/struct.proto\"\xe9\x02\n\x03\x46it\x12\n\n\x02id\x18\x01 \x01(\t\x12-\n\x05state\x18\x02 \x01(\x0e\x32\x1e.freerein.api.jobs.v1.JobState\x12\x0f\n\x07\x64\x61taset\x18\x03 \x01(\t\x12\x12\n\nmodel_name\x18\x04 \x01(\t\x12\'\n\x06\x63onfig\x18\x05 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x0c\n\x04step\x18\x06 \x01(\x04\x12\r\n\x05steps\x18\x07 \x01(\x04\x12;\n\x07metrics\x18\x08 \x03(\x0b\x32*.freerein.api.learning.v1.Fit.MetricsEntry\x12/\n\x05model\x18\t \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\r\n\x05\x65rror\x18\n \x01(\t\x12\x0f\n\x07time_ns\x18\x0b \x01(\x04\x1a.\n\x0cMetricsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"\x92\x01\n\x0fStartFitRequest\x12\x15\n\x07\x64\x61taset\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x18\n\nmodel_name\x18\x02 \x01(\tB\x04\x88\xb5\x18@\x12/\n\x06\x63onfig\x18\x03 \x01(\x0b\x32\x17.google.protobuf.StructB\x06\x88\xb5\x18\x80\x80\x02\x12\x1d\n\x0fidempotency_key\x18\x04 \x01(\tB\x04\x88\xb5\x18@\">\n\x10StartFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"!\n\rGetFitRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\"<\n\x0eGetFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\">\n\x0fListFitsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x18\n\npage_token\x18\x02 \x01(\tB\x04\x88\xb5\x18@\"X\n\x10ListFitsResponse\x12+\n\x04\x66its\x18\x01 \x03(\x0b\x32\x1d.freerein.api.learning.v1.Fit\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\":\n\x0fWatchFitRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x15\n\rfrom_sequence\x18\x02 \x01(\x04\"P\n\x10WatchFitResponse\x12\x10\n\x08sequence\x18\x01 \x01(\x04\x12*\n\x03\x66it\x18\x02 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"d\n\x14GetFitMetricsRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x11\n\tfrom_step\x18\x02 \x01(\x04\x12\x10\n\x08max_rows\x18\x03 \x01(\r\x12\x15\n\rkeep_extremes\x18\x04 \x01(\x08\"m\n\x15GetFitMetricsResponse\x12-\n\x04rows\x18\x01 \x03(\x0b\x32\x1f.freerein.api.jobs.v1.MetricRow\x12\x12\n\ntotal_rows\x18\x02 \x01(\x04\x12\x11\n\tnext_step\x18\x03 \x01(\x04\"$\n\x10\x43\x61ncelFitRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\"?\n\x11\x43\x61ncelFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"$\n\x10ResumeFitRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\"?\n\x11ResumeFitResponse\x12*\n\x03\x66it\x18\x01 \x01(\x0b\x32\x1d.freerein.api.learning.v1.Fit\"$\n\x10\x44\x65leteFitRequest\x12\x10\n\x02id\x18\x01 \x01(\tB\x04\x88\xb5\x18@\"\x13\n\x11\x44\x65leteFitResponse\"~\n\x05Model\x12-\n\x03ref\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x0e\n\x06\x61\x63tive\x18\x02 \x01(\x08\x12%\n\x04\x63\x61rd\x18\x03 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x0f\n\x07time_ns\x18\x04 \x01(\x04\"\x13\n\x11ListModelsRequest\"E\n\x12ListModelsResponse\x12/\n\x06models\x18\x01 \x03(\x0b\x32\x1f.freerein.api.learning.v1.Model\"a\n\x14\x41\x63tivateModelRequest\x12\x12\n\x04name\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x15\n\x07version\x18\x02 \x01(\tB\x04\x88\xb5\x18@\x12\x1e\n\x10\x65xpected_current\x18\x03 \x01(\tB\x04\x88\xb5\x18@\"G\n\x15\x41\x63tivateModelResponse\x12.\n\x05model\x18\x01 \x01(\x0b\x32\x1f.freerein.api.learning.v1.Model\"T\n\x12\x44\x65leteModelRequest\x12\x12\n\x04name\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x15\n\x07version\x18\x02 \x01(\tB\x04\x88\xb5\x18@\x12\x13\n\x0b\x65ven_active\x18\x03 \x01(\x08\"G\n\x13\x44\x65leteModelResponse\x12\x30\n\x06models\x18\x01 \x03(\x0b\x32 .freerein.api.common.v1.ModelRef2\xb8\x06\n\nFitService\x12\x61\n\x08StartFit\x12).freerein.api.learning.v1.StartFitRequest\x1a*.freerein.api.learning.v1.StartFitResponse\x12[\n\x06GetFit\x12\'.freerein.api.learning.v1.GetFitRequest\x1a(.freerein.api.learning.v1.GetFitResponse\x12\x61\n\x08ListFits\x12).freerein.api.learning.v1.ListFitsRequest\x1a*.freerein.api.learning.v1.ListFitsResponse\x12\x63\n\x08WatchFit\x12).freerein.api.learning.v1.WatchFitRequest\x1a*.freerein.api.learning.v1.WatchFitResponse0\x01\x12p\n\rGetFitMetrics\x12..freerein.api.learning.v1.GetFitMetricsRequest\x1a/.freerein.api.learning.v1.GetFitMetricsResponse\x12\x64\n\tCancelFit\x12*.freerein.api.learning.v1.CancelFitRequest\x1a+.freerein.api.learning.v1.CancelFitResponse\x12\x64\n\tResumeFit\x12*.freerein.api.learning.v1.ResumeFitRequest\x1a+.freerein.api.learning.v1.ResumeFitResponse\x12\x64\n\tDeleteFit\x12*.freerein.api.learning.v1.DeleteFitRequest\x1a+.freerein.api.learning.v1.DeleteFitResponse2\xd5\x02\n\x0cModelService\x12g\n\nListModels\x12+.freerein.api.learning.v1.ListModelsRequest\x1a,.freerein.api.learning.v1.ListModelsResponse\x12p\n\rActivateModel\x12..freerein.api.learning.v1.ActivateModelRequest\x1a/.freerein.api.learning.v1.ActivateModelResponse\x12j\n\x0b\x44\x65leteModel\x12,.freerein.api.learning.v1.DeleteModelRequest\x1a-.freerein.api.learning.v1.DeleteModelResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -89,37 +89,37 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_WATCHFITRESPONSE']._serialized_start=1057
   _globals['_WATCHFITRESPONSE']._serialized_end=1137
   _globals['_GETFITMETRICSREQUEST']._serialized_start=1139
-  _globals['_GETFITMETRICSREQUEST']._serialized_end=1216
-  _globals['_GETFITMETRICSRESPONSE']._serialized_start=1218
-  _globals['_GETFITMETRICSRESPONSE']._serialized_end=1327
-  _globals['_CANCELFITREQUEST']._serialized_start=1329
-  _globals['_CANCELFITREQUEST']._serialized_end=1365
-  _globals['_CANCELFITRESPONSE']._serialized_start=1367
-  _globals['_CANCELFITRESPONSE']._serialized_end=1430
-  _globals['_RESUMEFITREQUEST']._serialized_start=1432
-  _globals['_RESUMEFITREQUEST']._serialized_end=1468
-  _globals['_RESUMEFITRESPONSE']._serialized_start=1470
-  _globals['_RESUMEFITRESPONSE']._serialized_end=1533
-  _globals['_DELETEFITREQUEST']._serialized_start=1535
-  _globals['_DELETEFITREQUEST']._serialized_end=1571
-  _globals['_DELETEFITRESPONSE']._serialized_start=1573
-  _globals['_DELETEFITRESPONSE']._serialized_end=1592
-  _globals['_MODEL']._serialized_start=1594
-  _globals['_MODEL']._serialized_end=1720
-  _globals['_LISTMODELSREQUEST']._serialized_start=1722
-  _globals['_LISTMODELSREQUEST']._serialized_end=1741
-  _globals['_LISTMODELSRESPONSE']._serialized_start=1743
-  _globals['_LISTMODELSRESPONSE']._serialized_end=1812
-  _globals['_ACTIVATEMODELREQUEST']._serialized_start=1814
-  _globals['_ACTIVATEMODELREQUEST']._serialized_end=1911
-  _globals['_ACTIVATEMODELRESPONSE']._serialized_start=1913
-  _globals['_ACTIVATEMODELRESPONSE']._serialized_end=1984
-  _globals['_DELETEMODELREQUEST']._serialized_start=1986
-  _globals['_DELETEMODELREQUEST']._serialized_end=2070
-  _globals['_DELETEMODELRESPONSE']._serialized_start=2072
-  _globals['_DELETEMODELRESPONSE']._serialized_end=2143
-  _globals['_FITSERVICE']._serialized_start=2146
-  _globals['_FITSERVICE']._serialized_end=2970
-  _globals['_MODELSERVICE']._serialized_start=2973
-  _globals['_MODELSERVICE']._serialized_end=3314
+  _globals['_GETFITMETRICSREQUEST']._serialized_end=1239
+  _globals['_GETFITMETRICSRESPONSE']._serialized_start=1241
+  _globals['_GETFITMETRICSRESPONSE']._serialized_end=1350
+  _globals['_CANCELFITREQUEST']._serialized_start=1352
+  _globals['_CANCELFITREQUEST']._serialized_end=1388
+  _globals['_CANCELFITRESPONSE']._serialized_start=1390
+  _globals['_CANCELFITRESPONSE']._serialized_end=1453
+  _globals['_RESUMEFITREQUEST']._serialized_start=1455
+  _globals['_RESUMEFITREQUEST']._serialized_end=1491
+  _globals['_RESUMEFITRESPONSE']._serialized_start=1493
+  _globals['_RESUMEFITRESPONSE']._serialized_end=1556
+  _globals['_DELETEFITREQUEST']._serialized_start=1558
+  _globals['_DELETEFITREQUEST']._serialized_end=1594
+  _globals['_DELETEFITRESPONSE']._serialized_start=1596
+  _globals['_DELETEFITRESPONSE']._serialized_end=1615
+  _globals['_MODEL']._serialized_start=1617
+  _globals['_MODEL']._serialized_end=1743
+  _globals['_LISTMODELSREQUEST']._serialized_start=1745
+  _globals['_LISTMODELSREQUEST']._serialized_end=1764
+  _globals['_LISTMODELSRESPONSE']._serialized_start=1766
+  _globals['_LISTMODELSRESPONSE']._serialized_end=1835
+  _globals['_ACTIVATEMODELREQUEST']._serialized_start=1837
+  _globals['_ACTIVATEMODELREQUEST']._serialized_end=1934
+  _globals['_ACTIVATEMODELRESPONSE']._serialized_start=1936
+  _globals['_ACTIVATEMODELRESPONSE']._serialized_end=2007
+  _globals['_DELETEMODELREQUEST']._serialized_start=2009
+  _globals['_DELETEMODELREQUEST']._serialized_end=2093
+  _globals['_DELETEMODELRESPONSE']._serialized_start=2095
+  _globals['_DELETEMODELRESPONSE']._serialized_end=2166
+  _globals['_FITSERVICE']._serialized_start=2169
+  _globals['_FITSERVICE']._serialized_end=2993
+  _globals['_MODELSERVICE']._serialized_start=2996
+  _globals['_MODELSERVICE']._serialized_end=3337
 # @@protoc_insertion_point(module_scope)

@@ -332,22 +332,28 @@ class GetFitMetricsRequest(_message.Message):
     ID_FIELD_NUMBER: _builtins.int
     FROM_STEP_FIELD_NUMBER: _builtins.int
     MAX_ROWS_FIELD_NUMBER: _builtins.int
+    KEEP_EXTREMES_FIELD_NUMBER: _builtins.int
     id: _builtins.str
     """Id of the fit."""
     from_step: _builtins.int
     """First step wanted; 0 for all."""
     max_rows: _builtins.int
     """Maximum number of rows to return, at most 10000; 0 for 1000. More rows are decimated evenly."""
+    keep_extremes: _builtins.bool
+    """Of more rows, keeps those with the least and the greatest value of each metric among their neighbours, not evenly
+    spaced ones: a curve keeps its shape.
+    """
     def __init__(
         self,
         *,
         id: _builtins.str = ...,
         from_step: _builtins.int = ...,
         max_rows: _builtins.int = ...,
+        keep_extremes: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["from_step", b"from_step", "id", b"id", "max_rows", b"max_rows"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["from_step", b"from_step", "id", b"id", "keep_extremes", b"keep_extremes", "max_rows", b"max_rows"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -368,7 +374,9 @@ class GetFitMetricsResponse(_message.Message):
     """`from_step` that returns only later rows."""
     @_builtins.property
     def rows(self) -> _containers.RepeatedCompositeFieldContainer[_jobs_pb2.MetricRow]:
-        """Rows in order of steps, evenly spaced over those recorded, with the first and the last; only the last if `max_rows` is 1."""
+        """Rows in order of steps, with the first and the last, evenly spaced over those recorded unless `keep_extremes` was asked
+        for; only the last if `max_rows` is 1.
+        """
 
     def __init__(
         self,

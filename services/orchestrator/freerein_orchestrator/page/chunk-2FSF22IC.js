@@ -1,1 +1,0 @@
-import{c as e,d as i}from"/web/chunk-Y5P5HXBZ.js";function o(t){let[n,r]=e(0);return i(()=>{let s=window.setInterval(()=>{document.visibilityState==="visible"&&r(c=>c+1)},t);return()=>window.clearInterval(s)},[t]),n}export{o as a};

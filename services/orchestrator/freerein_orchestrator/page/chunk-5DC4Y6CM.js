@@ -1,1 +1,0 @@
-import{t as o,v as t,x as n}from"/web/chunk-Y5P5HXBZ.js";function l(e){let i=r=>{r.metaKey||r.ctrlKey||r.shiftKey||r.button!==0||(r.preventDefault(),t(e.to))};return o("a",{href:n(e.to),onClick:i,"aria-current":e.current?"page":void 0,children:e.children})}export{l as a};

@@ -1,1 +1,0 @@
-function c(t,r){let u=t.x.length;if(u<=r)return t;let n=Math.max(1,Math.floor(r/4)),o=[];for(let e=0;e<n;e+=1){let a=Math.floor(e*u/n),l=Math.floor((e+1)*u/n);o.push(...f(t.y,a,l))}return{x:o.map(e=>t.x[e]),y:o.map(e=>t.y[e])}}function f(t,r,u){let n=r,o=r;for(let e=r;e<u;e+=1)t[e]<t[n]&&(n=e),t[e]>t[o]&&(o=e);return[...new Set([r,n,o,u-1])].sort((e,a)=>e-a)}export{c as a};
