@@ -20,7 +20,7 @@ from freerein.relations import SpatialRelation, absence_caption, caption
 from freerein_reward.methods.relation_captions.config import RewardConfig
 from freerein_reward.methods.shared.frames import resized
 from freerein_reward.methods.shared.presence import alone_in_place, presence_in_dataset
-from freerein_reward.model import GradCamModel
+from freerein_reward.model import PhraseLocator
 from freerein_reward.model.phrase_relations import NO_CAPTION, pairwise_relations
 
 ABSENT = len(SpatialRelation)
@@ -109,14 +109,15 @@ class CaptionDataset:
         return training, validation
 
 
-def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConfig, path: Path) -> CaptionDataset:
-    """Returns a dataset's images with a caption for each ordered pair of phrases that they show.
+def caption_images(
+    dataset: Dataset, grounding: PhraseLocator, config: RewardConfig, path: Path, *, size: int
+) -> CaptionDataset:
+    """Returns a dataset's images, of height and width `size`, with a caption for each ordered pair of phrases shown.
 
     The phrases are located in the frames of the first camera, and related in units of their width. `path` is a cache of
     the captions, read when it exists, else written; `metrics.jsonl` beside it then has the fraction done, `captioned`,
     at step 0.
     """
-    size = grounding.network.spec.image_size
     steps = [dataset.cached_frames(camera).steps for camera in config.cameras]
     views = tuple(resized(frames, size) for frames in steps)
     aspect = steps[0].shape[1] / steps[0].shape[2]
@@ -125,7 +126,7 @@ def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConf
         relations, half_heat = cached["relations"].numpy(), cached["half_heat"].numpy()
     else:
         rows = MetricsWriter(path.with_name("metrics.jsonl"), last_step=-1)
-        x, y, heat, presence = _located(views[0], grounding, config, rows)
+        x, y, heat, presence = _located(steps[0], grounding, config, rows)
         relations, half_heat = image_relations(x, y * aspect, heat, presence, config)
         tensors = {"relations": torch.from_numpy(relations), "half_heat": torch.from_numpy(half_heat)}
         write_atomic(path, tensor_files.dump(tensors))
@@ -182,12 +183,13 @@ def image_relations(
 
 
 def _located(
-    frames: npt.NDArray[np.uint8], grounding: GradCamModel, config: RewardConfig, rows: MetricsWriter
+    frames: npt.NDArray[np.uint8], grounding: PhraseLocator, config: RewardConfig, rows: MetricsWriter
 ) -> npt.NDArray[np.float64]:
-    """Returns x, y, heat and presence of each phrase in frames (N, H, W, 3), float64 (4, N, P)."""
+    """Returns x, y, heat and presence of each phrase in frames (N, H, W, C), float64 (4, N, P)."""
     parts = []
     for start in range(0, len(frames), _IMAGES_AT_ONCE):
-        found = grounding.ground(frames[start : start + _IMAGES_AT_ONCE], config.phrases)
+        seen = resized(frames[start : start + _IMAGES_AT_ONCE], grounding.image_size)
+        found = grounding.ground(seen, config.phrases)
         parts.append(np.stack([found.x, found.y, found.heat, found.presence]))
         rows.append(0, {"captioned": min(1.0, (start + _IMAGES_AT_ONCE) / len(frames))})
     return np.concatenate(parts, axis=1)

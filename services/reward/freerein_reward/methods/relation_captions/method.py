@@ -16,11 +16,11 @@ from freerein_reward.methods.relation_captions.config import RewardConfig
 from freerein_reward.methods.relation_captions.evaluation import evaluate_reward
 from freerein_reward.methods.relation_captions.losses import RewardModelLearner, network_spec
 from freerein_reward.methods.shared.phrases import check_phrases, check_shown
-from freerein_reward.model import DualEncoder, load_grounding, load_reward_model
+from freerein_reward.model import DualEncoder, load_built_in, load_reward_model
 
 
 def _check(_source: FitDataset, config: RewardConfig, *, grounding: Path) -> None:
-    check_phrases(config.phrases, load_grounding(grounding, "cpu"), least=2)
+    check_phrases(config.phrases, load_built_in(grounding, "cpu"), least=2)
 
 
 def _prepare(
@@ -35,9 +35,10 @@ def _prepare(
         grounding: Folder of a version of the grounding model, named after it.
         captions: Folder of the fit, where captions are cached and progress is logged.
     """
-    dataset, model = source.dataset, load_grounding(grounding, str(device))
+    dataset, model = source.dataset, load_built_in(grounding, str(device))
     spec = network_spec(model.network.spec, config)  # rejects what is out of bounds before captioning
-    images = caption_images(dataset, model, config, captions / f"captions-{grounding.name}.safetensors")
+    cache = captions / f"captions-{grounding.name}.safetensors"
+    images = caption_images(dataset, model, config, cache, size=spec.image_size)
     check_shown(images.views[0], config.phrases, model)
     training, validation = images.split(dataset.lengths, fraction=config.validation_fraction, seed=config.seed)
     _, held_out = train_validation_split(np.arange(len(dataset)), fraction=config.validation_fraction, seed=config.seed)
