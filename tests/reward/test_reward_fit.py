@@ -2,6 +2,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -86,12 +87,23 @@ def test_a_fit_refuses_phrases_that_the_grounding_model_does_not_know(
     assert "red, orange" in refused.value.hint
 
 
-@pytest.mark.parametrize("method", ["relation_captions", "criterion_captions"])
-def test_a_fit_that_begins_with_the_built_in_model_refuses_one_that_was_trained_elsewhere(
-    data_dir: Path, trained_elsewhere: Path, method: str
+@pytest.mark.parametrize(
+    ("config", "field", "hint"),
+    [
+        ({}, "config.initial", "--set initial=scratch"),
+        ({"initial": "scratch", "distillation": 1.0}, "config.distillation", "--set distillation=0"),
+        ({"method": "criterion_captions"}, "", "initial=scratch"),
+        ({"initial": "scratch"}, "config.phrases", "Train another grounding model."),  # its weights are random
+    ],
+    ids=["initial", "distillation", "criteria", "phrases"],
+)
+def test_what_a_grounding_model_that_was_trained_elsewhere_cannot_give_is_refused(
+    data_dir: Path, trained_elsewhere: Path, config: dict[str, Any], field: str, hint: str
 ) -> None:
-    with pytest.raises(InvalidInput, match="trained elsewhere"):
-        METHODS.resolve(data_dir, "squares", {**FAST, "method": method}, threads=1, grounding=trained_elsewhere)
+    with pytest.raises(InvalidInput) as refused:
+        METHODS.resolve(data_dir, "squares", {**FAST, **config}, threads=1, grounding=trained_elsewhere)
+    assert refused.value.field == field
+    assert hint in refused.value.hint
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 from dataclasses import replace
 from itertools import permutations, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -71,7 +72,11 @@ def learner() -> RewardModelLearner:
     )
 
 
-def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: RewardModelLearner, tmp_path: Path) -> None:
+@pytest.mark.parametrize("begun", [{}, {"initial": "scratch", "distillation": 10.0}], ids=["grounding", "scratch"])
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(
+    learner: RewardModelLearner, tmp_path: Path, begun: dict[str, Any]
+) -> None:
+    learner = replace(learner, config=replace(FAST, **begun))
     whole = fit(learner, tmp_path / "whole")
     asked = iter([False, False, False, True])
     assert fit(learner, tmp_path / "parts", stop=lambda: next(asked)) is None
@@ -122,6 +127,37 @@ def test_statistics_of_the_grounding_model_stay(learner: RewardModelLearner) -> 
     statistics = {name: each for name, each in after.network.image.state_dict().items() if "running" in name}
     assert statistics
     assert all(torch.equal(tensor, known[name]) for name, tensor in statistics.items())
+
+
+def test_from_scratch_weights_and_statistics_are_the_fits_own(learner: RewardModelLearner) -> None:
+    scratch = replace(learner, config=replace(FAST, initial="scratch"))
+    begun = scratch.init(torch.Generator().manual_seed(5))
+    theirs = learner.grounding.network.image.layer1.state_dict()
+    ours = begun.network.image.layer1.state_dict()
+    assert not any(torch.equal(ours[name], theirs[name]) for name in ours if "conv" in name)
+    after, _ = scratch.update(begun, np.arange(8))
+    assert all(each.abs().sum() > 0 for name, each in after.network.named_buffers() if name.endswith("running_mean"))
+    scratch.evaluate(after)
+    assert not after.network.training
+
+
+def test_distillation_keeps_places_where_the_grounding_model_finds_them(learner: RewardModelLearner) -> None:
+    sensitive = replace(learner, training=replace(learner.training, half_heat=np.full(2, 0.01)))
+    taught = replace(sensitive, config=replace(FAST, distillation=10.0, augmentation=0.0))
+    plain = replace(sensitive, config=replace(FAST, augmentation=0.0))
+    items = np.arange(8)
+    losses = [each.loss(each.init(torch.Generator().manual_seed(5)), items)["train_loss"] for each in (taught, plain)]
+    assert losses[0].item() == losses[1].item()  # it begins as its own teacher
+
+    distances = []
+    for each in (taught, plain):
+        scratch = replace(each, config=replace(each.config, initial="scratch", steps=200))
+        state = scratch.init(torch.Generator().manual_seed(5))
+        for _ in range(30):
+            state, _ = scratch.update(state, items)
+        views = torch.from_numpy(learner.training.views[0][items])[:, None]
+        distances.append(taught._distillation_loss(state.network.train(), views).item())
+    assert distances[0] < 0.5 * distances[1]
 
 
 def test_augmented_frames_change_updates_after_two_fifths_of_the_fit_and_none_before(
