@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -176,11 +177,13 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
         "config.json asks",
     ),
     "another model": (lambda folder: (folder / "config.json").write_text('{"model_type": "bert"}'), "says bert"),
+    "a pipe": (lambda folder: ((folder / "merges.txt").unlink(), os.mkfifo(folder / "merges.txt")), "no regular file"),
     "no merges": (lambda folder: (folder / "merges.txt").unlink(), "merges"),
     "few merges": (lambda folder: (folder / "merges.txt").write_text("a b\n"), "6 lines"),
 }
 
 
+@pytest.mark.fault("R8")
 @pytest.mark.parametrize(("damage", "said"), DAMAGES.values(), ids=DAMAGES)
 def test_what_is_no_model_is_refused_in_words_and_leaves_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: Damage, said: str
@@ -196,6 +199,7 @@ def test_what_is_no_model_is_refused_in_words_and_leaves_nothing(
     assert not models.exists() or list(models.iterdir()) == []
 
 
+@pytest.mark.fault("R8")
 def test_weights_with_another_digest_are_refused(source: Path, tmp_path: Path, capsys: Any) -> None:
     assert run_import(source, tmp_path / "models", "0" * 64) == 1
     assert sha256(source) in capsys.readouterr().err

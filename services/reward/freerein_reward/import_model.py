@@ -91,8 +91,7 @@ def import_model(
     folder = Path(tempfile.mkdtemp(prefix=".import-", dir=models))
     try:
         for name in _FILES[layout]:
-            if (source / name).exists():
-                shutil.copyfile(source / name, folder / name)
+            _copy(source / name, folder / name)
         _check_sha256(folder, sha256)  # of what is read from now on
         model = LAYOUTS[layout](folder, choose_device(device))
         calibration, figures = calibrate(model, images=images, seed=seed)
@@ -119,6 +118,20 @@ def import_model(
         return ref, card
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _copy(path: Path, to: Path) -> None:
+    """Copies a file if there is one."""
+    try:
+        if path.exists():
+            shutil.copyfile(path, to)
+    except OSError as error:
+        raise InvalidInput(
+            f"`source` must have regular files that may be read, and there must be room for copies; {path.name} could "
+            f"not be copied: {error.strerror or 'it is no regular file'}.",
+            field="source",
+            hint="Copy the folder to where you may read it, or make room.",
+        ) from None
 
 
 def _check_sha256(folder: Path, expected: str) -> None:
