@@ -39,8 +39,8 @@ def load_built_in(folder: Path, device: str) -> GradCamModel:
         return model
     raise InvalidInput(
         "This fit begins with the weights of the built-in grounding model; the active one was trained elsewhere.",
-        hint="Use the method relation_captions with initial=scratch, or activate the built-in version of `grounding` "
-        "and restart the service.",
+        hint="Use the method relation_captions with initial=scratch and distillation=10, or activate the built-in "
+        "version of `grounding` and restart the service.",
     )
 
 

@@ -21,8 +21,8 @@ class RewardConfig(DatasetFitConfig):
         embedding_dim: Dimension of a pair's embedding.
         initial: What the fit begins with: the convolutions of the grounding model, which stays as it is, or random
             weights. A grounding model that was trained elsewhere needs `scratch`.
-        distillation: Weight of the loss that keeps the places of phrases where the grounding model finds them; 0 for
-            none. Not with a grounding model that was trained elsewhere.
+        distillation: Weight of the loss that holds the places of phrases where the grounding model finds them in the
+            first camera; 0 for none. From scratch, 10 finds them in a few hundred steps.
     """
 
     phrases: tuple[str, ...] = ()

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import torch
@@ -73,7 +72,7 @@ class RewardModelLearner(Learner[DualEncoder]):
         loss = relation_cross_entropy(scores, _targets(batch).to(self.device))
         loss = loss + naming_loss(network, batch.phrases)
         if self.config.distillation:
-            loss = loss + self.config.distillation * self._distillation_loss(network, _stacked_views(batch))
+            loss = loss + self.config.distillation * distillation_loss(network, batch)
         strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
         if strength:
             seen = batch.augmented(strength, generator=state.generator)
@@ -108,20 +107,6 @@ class RewardModelLearner(Learner[DualEncoder]):
             trajectories=self.held_out_trajectories or len(self.validation),
             augmented=self.config.augmentation > 0,
         )
-
-    @cached_property
-    def _teacher(self) -> DualEncoder:
-        """The network that has learned nothing from captions: that of the grounding model."""
-        network = DualEncoder(self.spec)
-        init_from_grounding(network, built_in(self.grounding), self.training)
-        return channels_last(network.to(self.device))
-
-    def _distillation_loss(self, network: DualEncoder, views: Tensor) -> Tensor:
-        """Returns the mean squared distance of keypoints from the teacher's, as in section 4.2, a scalar."""
-        frames = views.flatten(end_dim=1).to(self.device)
-        with torch.no_grad():
-            taught = _keypoints(self._teacher, frames)
-        return functional.mse_loss(_keypoints(network, frames), taught)
 
     def _mirror(self, batch: CaptionDataset, state: State) -> CaptionDataset:
         """Returns the batch with half of the images mirrored; not with several views, which would not fit together."""
@@ -168,9 +153,13 @@ def init_from_grounding(network: DualEncoder, grounding: GradCamModel, dataset: 
     heat.bias.fill_(-_HEAT_FLOOR)
 
 
-def _keypoints(network: DualEncoder, frames: Tensor) -> Tensor:
-    """Returns the keypoints, float32 (N, P, 3), of frames uint8 (N, H, W, 3)."""
-    return network.image.relation_pool.keypoints(network.image.feature_maps(frames))
+def distillation_loss(network: DualEncoder, dataset: CaptionDataset) -> Tensor:
+    """Returns the mean squared distance of keypoints from those of the grounding model, a scalar (section 4.2)."""
+    if dataset.keypoints is None:
+        raise TypeError("These images have no keypoints; expected those that captions were made from.")
+    maps = network.image.feature_maps(torch.from_numpy(dataset.views[0]).to(network.device))
+    taught = torch.from_numpy(dataset.keypoints).to(network.device, torch.float32)
+    return functional.mse_loss(network.image.relation_pool.keypoints(maps), taught)
 
 
 @torch.no_grad()

@@ -34,14 +34,12 @@ def _check(_source: FitDataset, config: RewardConfig, *, grounding: Path) -> Non
 
 
 def _check_initial(config: RewardConfig, model: PhraseLocator) -> None:
-    needed = "initial" if config.initial == "grounding" else "distillation" if config.distillation else ""
-    if needed and not isinstance(model, GradCamModel):
-        value = {"initial": "scratch", "distillation": "0"}[needed]
+    if config.initial == "grounding" and not isinstance(model, GradCamModel):
         raise InvalidInput(
-            f"`{needed}` must be {value} with a grounding model that was trained elsewhere: its weights fit no reward "
-            f"model; got {getattr(config, needed)}.",
-            field=f"config.{needed}",
-            hint=f"Add --set {needed}={value}.",
+            "`initial` must be scratch with a grounding model that was trained elsewhere: its weights fit no reward "
+            f"model; got {config.initial}.",
+            field="config.initial",
+            hint="Add --set initial=scratch --set distillation=10.",
         )
 
 
