@@ -17,7 +17,7 @@ from freerein.errors import FailedPrecondition
 from freerein_reward.methods.relation_captions.caption_dataset import CaptionDataset, image_relations
 from freerein_reward.methods.relation_captions.config import RewardConfig
 from freerein_reward.methods.relation_captions.losses import RewardModelLearner, network_spec
-from freerein_reward.model import DualEncoderModel, GradCamModel, load_grounding, load_reward_model
+from freerein_reward.model import DualEncoderModel, GradCamModel, load_built_in, load_reward_model
 
 COLOURS = ("red", "green", "yellow", "blue")
 PHRASES = tuple(f"a {colour} block" for colour in COLOURS)
@@ -60,7 +60,7 @@ def fit_model(config: RewardConfig, work: Path, on_progress: Callable[[], None])
 
 def open_grounding() -> GradCamModel:
     """Returns the grounding model that ships."""
-    return load_grounding(_GROUNDING / grounding_version(), "cpu")
+    return load_built_in(_GROUNDING / grounding_version(), "cpu")
 
 
 def grounding_version() -> str:

@@ -18,6 +18,9 @@ PINNED = {canonicalize_name(name): Version(pin) for name, _, pin in (line.partit
 MENDED = {"starlette": "1.3.1", "python-multipart": "0.0.34", "uvicorn": "0.51", "torch": "2.10", "pillow": "11.3"}
 """Versions in which advisories that concern a server were mended, such as those of ranges, hosts and multipart."""
 
+OPTIONAL = ("tokenizers", "transformers")
+"""What `tools/setup` leaves out; tests that need it are skipped without."""
+
 
 def listed(manifest: Path) -> list[str]:
     """Returns all requirements of a distribution, those of its extras and of its development included."""
@@ -46,7 +49,8 @@ def test_a_package_has_a_floor_and_a_pinned_version_that_is_installed(requiremen
     pin = PINNED[canonicalize_name(requirement.name)]
     assert len(floors) == 1
     assert requirement.specifier.contains(pin)
-    assert Version(Version(version(requirement.name)).public) == pin
+    if requirement.name not in OPTIONAL or requirement.name in DISTRIBUTIONS:
+        assert Version(Version(version(requirement.name)).public) == pin
     assert floors[0] >= Version(MENDED.get(requirement.name, "0"))
 
 

@@ -1,7 +1,7 @@
 """The three transports of a service: its core in process, its REST app in process, its gRPC server on a port."""
 
 import json
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +27,10 @@ from freerein.serving.rest.wording import with_paths
 
 
 class Transport(Protocol):
-    """Sends a request and returns all responses, or raises the `ServiceError` of a refusal."""
+    """Sends a request and returns all responses, or raises the `ServiceError` of a refusal.
+
+    A bidirectional stream, which REST does not have, is sent a list of messages.
+    """
 
     async def __call__(self, method: Method, request: object) -> list[Any]: ...
 
@@ -95,7 +98,15 @@ async def _connect(build: Build, data_dir: Path) -> AsyncIterator[Transports]:
         yield Transports(service.methods, _call_core, _Rest(client), _Grpc(channel), app, document, channel)
 
 
-async def _call_core(method: Method, request: object) -> list[Any]:
+async def _each(messages: Iterable[Any]) -> AsyncIterator[Any]:
+    for message in messages:
+        yield message
+
+
+async def _call_core(method: Method, request: Any) -> list[Any]:
+    if method.descriptor.client_streaming:
+        messages = (wire.unpack(wire.pack(each), method.request) for each in request)
+        return [response async for response in method.call(_each(messages))]
     request = wire.unpack(wire.pack(request), method.request)  # which checks the bounds of the contract
     if method.descriptor.server_streaming:
         return [response async for response in method.call(request)]
@@ -147,13 +158,16 @@ class _Grpc:
     def __init__(self, channel: grpc.aio.Channel) -> None:
         self._channel = channel
 
-    async def __call__(self, method: Method, request: object) -> list[Any]:
+    async def __call__(self, method: Method, request: Any) -> list[Any]:
         path = f"/{method.descriptor.containing_service.full_name}/{method.name}"
         codec = {
             "request_serializer": lambda message: message.SerializeToString(),
             "response_deserializer": wire.message_type(method.response).FromString,
         }
         try:
+            if method.descriptor.client_streaming:
+                stream = self._channel.stream_stream(path, **codec)(_each(map(wire.pack, request)))
+                return [wire.unpack(message, method.response) async for message in stream]
             if method.descriptor.server_streaming:
                 call = self._channel.unary_stream(path, **codec)(wire.pack(request))
                 return [wire.unpack(message, method.response) async for message in call]

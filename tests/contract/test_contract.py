@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -39,6 +39,7 @@ from freerein.serving.model_cache import ModelCache
 from freerein.types import learning, segmentation
 from freerein.types.common import ActionSpec, Camera, Image, ModelRef
 from freerein.types.learning import StartFitRequest
+from freerein.types.reward import RewardFrame, RewardHello, RewardStreamRequest
 from freerein_segmentation.model import Prediction
 
 Build = Callable[[Path, Health], Service]
@@ -379,6 +380,32 @@ async def test_words_that_the_reward_models_do_not_know_are_named_and_asked_back
         assert named == [("zeppelins",), ("zeppelins",), ("zeppelin",), ("zeppelin",)]
         assert not answers[0].rewards.any()
         assert answers[0].did_you_mean == answers[1].did_you_mean == "more on top of less"
+
+
+REWARDS = [case for case in SERVICES["reward"].cases if case.method == "Reward" and len(case.request.images) < 2]
+
+
+@pytest.mark.parametrize("case", REWARDS, ids=str)
+async def test_a_reward_stream_answers_or_refuses_as_reward_does(open_service: Any, case: Case) -> None:
+    transports = await open_service("reward")
+    asked = case.request
+    alone = replace(asked, frames={camera: each[:1] for camera, each in asked.frames.items()})
+    hello = RewardHello(asked.goal_text, asked.rivals, asked.mode, asked.model)
+    frame = RewardFrame(0, {camera: each[0] for camera, each in asked.frames.items()}, asked.images)
+    sent = [RewardStreamRequest(hello), RewardStreamRequest(frame=frame)]
+    for transport in (transports.core, transports.grpc):
+        try:
+            opened, reply = await transport(transports.method("RewardStream"), sent)
+            code = reply.error.code if reply.error else ANSWER
+        except ServiceError as error:
+            code = error.code
+        assert code == case.code
+        if code == ANSWER:
+            (expected,) = await transport(transports.method("Reward"), alone)
+            found = reply.reward.reward, reply.reward.similarity, reply.reward.winner, reply.reward.in_distribution
+            parts = expected.rewards, expected.similarities, expected.winners, expected.in_distribution
+            assert found == tuple(part[0] for part in parts)
+            assert (opened.opened.texts, opened.opened.unknown) == (expected.texts, expected.unknown)
 
 
 def _names(message: Descriptor) -> list[str]:

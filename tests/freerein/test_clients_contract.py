@@ -61,6 +61,7 @@ def test_every_call_is_idempotent_or_known_not_to_be() -> None:
         "Connect",
         "Control",
         "SegmentStream",
+        "RewardStream",
         "ActivateModel",
         "DeleteFit",
         "DeleteModel",

@@ -1,10 +1,12 @@
+import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from tests.reward import clip_layout
 
 from freerein.data.layout import DatasetSpec
 from freerein.data.lookup import open_dataset
@@ -14,6 +16,7 @@ from freerein.errors import InvalidInput
 from freerein.model_store import ModelStore
 from freerein.relations import SpatialRelation
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
+from freerein_reward.import_model import import_model
 from freerein_reward.methods import METHODS, load
 from freerein_reward.methods.relation_captions.caption_checks import accuracy_warnings, caption_warnings
 from freerein_reward.methods.relation_captions.caption_dataset import CaptionDataset, caption_images
@@ -84,6 +87,34 @@ def test_a_fit_refuses_phrases_that_the_grounding_model_does_not_know(
     assert "red, orange" in refused.value.hint
 
 
+@pytest.mark.parametrize(
+    ("config", "field", "hint"),
+    [
+        ({}, "config.initial", "--set initial=scratch --set distillation=10"),
+        ({"method": "criterion_captions"}, "", "initial=scratch"),
+        ({"initial": "scratch"}, "config.phrases", "Train another grounding model."),  # its weights are random
+    ],
+    ids=["initial", "criteria", "phrases"],
+)
+def test_what_a_grounding_model_that_was_trained_elsewhere_cannot_give_is_refused(
+    data_dir: Path, trained_elsewhere: Path, config: dict[str, Any], field: str, hint: str
+) -> None:
+    with pytest.raises(InvalidInput) as refused:
+        METHODS.resolve(data_dir, "squares", {**FAST, **config}, threads=1, grounding=trained_elsewhere)
+    assert refused.value.field == field
+    assert hint in refused.value.hint
+
+
+@pytest.fixture(scope="module")
+def trained_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of an imported grounding model, of random weights."""
+    folder = tmp_path_factory.mktemp("imported")
+    source = clip_layout.write(folder / "source", clip_layout.random_weights())
+    digest = hashlib.sha256((source / "model.safetensors").read_bytes()).hexdigest()
+    ref, _ = import_model(source, folder / "m", sha256=digest, place="argmax", images=64, seed=0, device="cpu")
+    return ModelStore(folder / "m").folder(ref)
+
+
 def test_a_phrase_that_no_image_shows_is_refused(data_dir: Path) -> None:
     frames = open_dataset(data_dir, "squares").cached_frames("front").steps
     grounding = load_grounding(GROUNDING, "cpu")
@@ -114,7 +145,7 @@ def test_captioning_begun_again_reports_its_progress_once(data_dir: Path) -> Non
     cache, grounding = data_dir / "captions.safetensors", load_grounding(GROUNDING, "cpu")
     dataset, config = open_dataset(data_dir, "squares"), RewardConfig(cameras=("front",), phrases=tuple(PHRASES))
     for _ in range(2):
-        caption_images(dataset, grounding, config, cache)
+        caption_images(dataset, grounding, config, cache, size=64)
         cache.unlink()  # as if the fit had been killed before the captions were saved
     rows = (data_dir / "metrics.jsonl").read_text().splitlines()
     assert [json.loads(line) for line in rows] == [{"step": 0, "captioned": 1.0}]
@@ -123,7 +154,7 @@ def test_captioning_begun_again_reports_its_progress_once(data_dir: Path) -> Non
 class Stacked:
     """Finds two cubes, one 3 pixels to the left of the other and on top of it, in images of 720 x 1280 pixels."""
 
-    network = SimpleNamespace(spec=SimpleNamespace(image_size=64))
+    image_size = 64
 
     def ground(self, images: np.ndarray, phrases: tuple[str, ...]) -> PhraseLocations:
         """Returns the same places in all images."""
@@ -138,7 +169,7 @@ def test_in_wide_frames_stacked_objects_are_captioned_as_such(tmp_path: Path) ->
     with create(root, spec) as writer:
         writer.append(Trajectory({"front": np.zeros((2, 72, 128, 3), np.uint8)}, np.empty((2, 0), np.float32), ()))
     config = RewardConfig(cameras=("front",), phrases=tuple(PHRASES), epsilon=64 / 1280)
-    captioned = caption_images(Dataset(root), Stacked(), config, tmp_path / "captions.safetensors")
+    captioned = caption_images(Dataset(root), Stacked(), config, tmp_path / "captions.safetensors", size=64)
     assert captioned.relations.tolist() == [[[NO_CAPTION, on_top], [below, NO_CAPTION]]] * 2
 
 

@@ -1,6 +1,7 @@
 from dataclasses import replace
 from itertools import permutations, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,11 +20,13 @@ from freerein_reward.methods.relation_captions.caption_dataset import (
     image_relations,
     pair_captions,
     pairwise_absences,
+    place_keypoints,
 )
 from freerein_reward.methods.relation_captions.config import RewardConfig
 from freerein_reward.methods.relation_captions.evaluation import evaluate_reward, pair_majority_accuracy
 from freerein_reward.methods.relation_captions.losses import (
     RewardModelLearner,
+    distillation_loss,
     naming_loss,
     network_spec,
     relation_cross_entropy,
@@ -58,7 +61,9 @@ def blocks(count: int, *, seed: int, missing: float = 0.0) -> CaptionDataset:
             frame[max(0, y - 3) : y + 3, max(0, x - 3) : x + 3] = colour
     relations = pairwise_relations(places[..., 0], places[..., 1], shown, epsilon=0.1)
     absences = pairwise_absences(shown.astype(float), least=0.95)
-    return CaptionDataset((frames,), PHRASES, np.where(absences, ABSENT, relations).astype(np.int8), np.ones(2))
+    keypoints = np.concatenate([2 * places[..., ::-1] - 1, np.ones((count, 2, 1))], axis=2) * shown[..., None]
+    captions = np.where(absences, ABSENT, relations).astype(np.int8)
+    return CaptionDataset((frames,), PHRASES, captions, np.ones(2), keypoints.astype(np.float32))
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +76,11 @@ def learner() -> RewardModelLearner:
     )
 
 
-def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: RewardModelLearner, tmp_path: Path) -> None:
+@pytest.mark.parametrize("begun", [{}, {"initial": "scratch", "distillation": 10.0}], ids=["grounding", "scratch"])
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(
+    learner: RewardModelLearner, tmp_path: Path, begun: dict[str, Any]
+) -> None:
+    learner = replace(learner, config=replace(FAST, **begun))
     whole = fit(learner, tmp_path / "whole")
     asked = iter([False, False, False, True])
     assert fit(learner, tmp_path / "parts", stop=lambda: next(asked)) is None
@@ -122,6 +131,40 @@ def test_statistics_of_the_grounding_model_stay(learner: RewardModelLearner) -> 
     statistics = {name: each for name, each in after.network.image.state_dict().items() if "running" in name}
     assert statistics
     assert all(torch.equal(tensor, known[name]) for name, tensor in statistics.items())
+
+
+def test_from_scratch_weights_and_statistics_are_the_fits_own(learner: RewardModelLearner) -> None:
+    scratch = replace(learner, config=replace(FAST, initial="scratch"))
+    begun = scratch.init(torch.Generator().manual_seed(5))
+    theirs = learner.grounding.network.image.layer1.state_dict()
+    ours = begun.network.image.layer1.state_dict()
+    assert not any(torch.equal(ours[name], theirs[name]) for name in ours if "conv" in name)
+    after, _ = scratch.update(begun, np.arange(8))
+    assert all(each.abs().sum() > 0 for name, each in after.network.named_buffers() if name.endswith("running_mean"))
+    scratch.evaluate(after)
+    assert not after.network.training
+
+
+def test_distillation_teaches_a_network_from_scratch_where_phrases_are(learner: RewardModelLearner) -> None:
+    items, distances = np.arange(8), []
+    for weight in (10.0, 0.0):
+        config = replace(FAST, initial="scratch", distillation=weight, augmentation=0.0, steps=200)
+        each = replace(learner, config=config)
+        state = each.init(torch.Generator().manual_seed(5))
+        for _ in range(30):
+            state, _ = each.update(state, items)
+        distances.append(distillation_loss(state.network.train(), learner.training.subset(items)).item())
+    assert distances[0] < 0.5 * distances[1]
+
+
+def test_places_are_keypoints_which_a_mirror_turns_and_a_phrase_that_is_not_shown_has_none() -> None:
+    x, y, heat = np.array([[0.25, 0.5]]), np.array([[0.75, 0.5]]), np.ones((1, 2))
+    keypoints = place_keypoints(x, y, heat, np.array([[1.0, 0.0]]))
+    assert keypoints.tolist() == [[[0.5, -0.5, 1.0], [0.0, 0.0, 0.0]]]
+    dataset = replace(blocks(1, seed=0), keypoints=keypoints)
+    mirrored = dataset.mirrored(np.array([True])).keypoints
+    assert mirrored is not None
+    assert mirrored.tolist() == [[[0.5, 0.5, 1.0], [0.0, 0.0, 0.0]]]
 
 
 def test_augmented_frames_change_updates_after_two_fifths_of_the_fit_and_none_before(

@@ -1,6 +1,6 @@
 """The reward service as a process: `python -m freerein_reward`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
@@ -20,6 +20,7 @@ from freerein.serving.learned import learned_service, open_store
 from freerein.serving.lifecycle import Service, run
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
+from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein_reward.core import (
     GoalCache,
@@ -29,6 +30,7 @@ from freerein_reward.core import (
     InferenceBatcher,
     RewardCore,
     RewardModel,
+    RewardStreamService,
 )
 from freerein_reward.methods import METHODS, load
 from freerein_reward.model import GROUNDING
@@ -55,13 +57,15 @@ def build(
     batcher: InferenceBatcher = Batcher(
         Inference(goals).run, queue=settings.queue, batch=limits.batch, metrics=metrics, call_s=limits.unary_s
     )
+
+    def make_cores(models: ModelCache[RewardModel | GroundingModel]) -> Sequence[object]:
+        rewards = RewardCore(models, batcher, goals)
+        return rewards, RewardStreamService(rewards, health, limits.drain_s), GroundingCore(models, batcher)
+
     return learned_service(
         NAME,
         reward_pb2.DESCRIPTOR.services_by_name["RewardService"],
-        lambda models: (
-            RewardCore(models, batcher, goals),
-            GroundingCore(models, batcher),
-        ),
+        make_cores,
         settings=settings,
         health=health,
         batcher=batcher,

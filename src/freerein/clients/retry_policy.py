@@ -45,7 +45,7 @@ IDEMPOTENT = {
 `StartFit`, `StartRun` and `CreateSession` are idempotent because clients always send an idempotency key, `Step` because
 of its `step_id`. `Reset` is not: it draws from the generators; nor `ExpertActions`, which advances the experts; nor are
 `ActivateModel`, `ResumeFit`, `ResumeRun` and those that delete, which expect the state before them. A stream is
-retried only before its first message; `Connect`, `Control` and `SegmentStream` never.
+retried only before its first message; `Connect`, `Control`, `SegmentStream` and `RewardStream` never.
 """
 
 MAX_ATTEMPTS = 4

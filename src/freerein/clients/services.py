@@ -52,6 +52,9 @@ class RewardClient(Client):
     """Client of the reward service."""
 
     reward = UnaryRpc(rewards.RewardRequest, rewards.RewardResponse)
+    reward_stream = StreamRpc(rewards.RewardStreamRequest, rewards.RewardStreamResponse)
+    """First how the goal text was read; then a reward or an error for each frame. Never retried; a reply with
+    `draining` is unsolicited."""
     ground = UnaryRpc(rewards.GroundRequest, rewards.GroundResponse)
     describe = UnaryRpc(rewards.DescribeRequest, rewards.DescribeResponse)
     embed_goal = UnaryRpc(rewards.EmbedGoalRequest, rewards.EmbedGoalResponse)

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from freerein.types.common import Image, ModelRef, Timing
+from freerein.types.common import Draining, Error, Image, ModelRef, Timing
 
 Mode = Literal["binary", "raw"]
 
@@ -64,6 +64,95 @@ class RewardResponse:
     model: ModelRef
     timing: Timing
     did_you_mean: str = ""
+
+
+@dataclass(frozen=True)
+class RewardHello:
+    """Opens a reward stream; `goal_text`, `rivals` and `mode` are those of `RewardRequest`.
+
+    Attributes:
+        model: The model; the stream keeps its version.
+    """
+
+    goal_text: str
+    rivals: tuple[str, ...] = ()
+    mode: Mode = "binary"
+    model: ModelRef = ModelRef()
+
+
+@dataclass(frozen=True, eq=False)
+class RewardFrame:
+    """One moment, seen by every camera of the model; exactly one of `frames` and `images` is given.
+
+    Attributes:
+        seq: Sequence number; must increase, gaps are fine.
+        frames: uint8 (H, W, C) by camera, C = 1 or 3, of any size that the stream keeps; other cameras than the model's
+            are ignored.
+        images: Encoded images, one of each camera.
+    """
+
+    seq: int
+    frames: dict[str, npt.NDArray[np.uint8]] = field(default_factory=dict)
+    images: tuple[Image, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class RewardStreamRequest:
+    """A message to a reward stream: either a Hello, which is the first and only one, or a frame."""
+
+    hello: RewardHello | None = None
+    frame: RewardFrame | None = None
+
+
+@dataclass(frozen=True)
+class RewardStreamOpened:
+    """The model of a reward stream, and how it read the goal text.
+
+    Attributes:
+        model: The model that answers.
+        cameras: Its cameras; one empty name for any image.
+        texts, truncated, unknown, did_you_mean: As in `RewardResponse`.
+    """
+
+    model: ModelRef
+    cameras: tuple[str, ...]
+    texts: tuple[str, ...]
+    truncated: bool
+    unknown: tuple[str, ...]
+    did_you_mean: str = ""
+
+
+@dataclass(frozen=True)
+class FrameReward:
+    """The reward of one frame, as `RewardResponse` has it of a request of that frame alone.
+
+    Attributes:
+        reward: In the mode of the Hello.
+        similarity: Of frame and goal text, in [-1, 1].
+        winner: Index in `texts` of `RewardStreamOpened`.
+        in_distribution: In [0, 1]; None for a grounding model.
+    """
+
+    reward: float
+    similarity: float
+    winner: int
+    timing: Timing
+    in_distribution: float | None = None
+
+
+@dataclass(frozen=True)
+class RewardStreamResponse:
+    """A message from a reward stream: exactly one of `opened`, `reward`, `error` and `draining`.
+
+    Attributes:
+        seq: The `seq` that a reward or an error answers.
+    """
+
+    seq: int = 0
+    opened: RewardStreamOpened | None = None
+    reward: FrameReward | None = None
+    error: Error | None = None
+    draining: Draining | None = None
 
 
 @dataclass(frozen=True, eq=False)

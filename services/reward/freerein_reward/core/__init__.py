@@ -1,6 +1,6 @@
-"""Core of the reward service: `RewardCore` and `GroundingCore`.
+"""Core of the reward service: `RewardCore`, `RewardStreamService` and `GroundingCore`.
 
-reward | grounding -> inputs | inference -> goal_cache -> models
+reward_stream -> reward | grounding -> inputs | inference -> goal_cache -> models
 """
 
 from freerein_reward.core.goal_cache import GoalCache as GoalCache
@@ -10,3 +10,4 @@ from freerein_reward.core.inference import InferenceBatcher as InferenceBatcher
 from freerein_reward.core.models import GroundingModel as GroundingModel
 from freerein_reward.core.models import RewardModel as RewardModel
 from freerein_reward.core.reward import RewardCore as RewardCore
+from freerein_reward.core.reward_stream import RewardStreamService as RewardStreamService

@@ -12,7 +12,14 @@ from freerein.goal_text import GoalText, Grammar, ask_back, not_known
 from freerein.serving.call_timer import CallTimer
 from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
-from freerein.types.reward import EmbedGoalRequest, EmbedGoalResponse, RewardRequest, RewardResponse
+from freerein.types.reward import (
+    EmbedGoalRequest,
+    EmbedGoalResponse,
+    Mode,
+    RewardHello,
+    RewardRequest,
+    RewardResponse,
+)
 from freerein_reward.core.goal_cache import GoalCache
 from freerein_reward.core.inference import InferenceBatcher, ScoreItem, Scores
 from freerein_reward.core.inputs import (
@@ -47,9 +54,7 @@ class RewardCore:
             NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         timer = CallTimer()
-        check_goal_text(request.goal_text)
-        check_rivals(request.rivals)
-        ref, model = await self._resolve(request.model, allow_grounding=request.mode == "raw")
+        ref, model = await self.resolve(request)
         goal, texts, frames = await timer.decode(asyncio.to_thread(_decode, request, model))
         parts: list[Scores] = []
         count = len(frames[model.cameras[0]])
@@ -59,9 +64,9 @@ class RewardCore:
             key = ref if count == 1 else object()  # single frames share a batch with those of other requests
             parts.append(timer.output(await self.batcher.submit(ScoreItem(ref, model, texts, views), key=key)))
         similarities = np.concatenate([part.similarities for part in parts])  # (N, K)
-        winners = _winners(similarities, is_known=not goal.unknown)
+        rewards, winners = judge(similarities, goal, request.mode)
         return RewardResponse(
-            rewards=(winners == 0).astype(np.float32) if request.mode == "binary" else similarities[:, 0],
+            rewards=rewards,
             similarities=similarities[:, 0],
             winners=winners,
             texts=texts,
@@ -95,6 +100,12 @@ class RewardCore:
             did_you_mean=goal.did_you_mean,
         )
 
+    async def resolve(self, request: RewardRequest | RewardHello) -> tuple[ModelRef, RewardModel]:
+        """Returns the model of a request, whose texts have words; raises as `reward`."""
+        check_goal_text(request.goal_text)
+        check_rivals(request.rivals)
+        return await self._resolve(request.model, allow_grounding=request.mode == "raw")
+
     async def _resolve(self, ref: ModelRef, *, allow_grounding: bool) -> tuple[ModelRef, RewardModel]:
         """Returns a reward model; a grounding model's raw similarities are the base reward of section 4.2."""
         ref, model = await self.models.resolve(ref)
@@ -107,9 +118,22 @@ def _decode(
     request: RewardRequest, model: RewardModel
 ) -> tuple[GoalText, tuple[str, ...], Mapping[str, FrameSequence]]:
     """Returns the goal text, all texts to compare, and the frames by camera."""
-    goal = _read(request.goal_text, model.grammar, field="goal_text")
-    texts = (goal.text, *_rivals(request, goal, model.grammar))
+    goal, texts = read_texts(request, model.grammar)
     return goal, texts, request_frames(request, model.cameras)
+
+
+def read_texts(request: RewardRequest | RewardHello, grammar: Grammar) -> tuple[GoalText, tuple[str, ...]]:
+    """Returns the goal text as it was read, and all texts to compare, itself first; raises as `RewardCore.reward`."""
+    goal = _read(request.goal_text, grammar, field="goal_text")
+    return goal, (goal.text, *_rivals(request, goal, grammar))
+
+
+def judge(
+    similarities: npt.NDArray[np.float32], goal: GoalText, mode: Mode
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+    """Returns rewards, float32 (N,), and winners, int64 (N,), of N frames' similarities to K texts, (N, K)."""
+    winners = _winners(similarities, is_known=not goal.unknown)
+    return (winners == 0).astype(np.float32) if mode == "binary" else similarities[:, 0], winners
 
 
 def _read(text: str, grammar: Grammar, *, field: str) -> GoalText:
@@ -132,7 +156,7 @@ def _views(
     }
 
 
-def _rivals(request: RewardRequest, goal: GoalText, grammar: Grammar) -> tuple[str, ...]:
+def _rivals(request: RewardRequest | RewardHello, goal: GoalText, grammar: Grammar) -> tuple[str, ...]:
     read = (_read(each, grammar, field=f"rivals.{index}") for index, each in enumerate(request.rivals))
     rivals = tuple(each.text for each in read)
     check_distinct(rivals, goal.text)

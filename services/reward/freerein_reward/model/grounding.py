@@ -9,6 +9,7 @@ names that the model knows and no phrase says compete, too: without them, what i
 stands out.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,20 +18,16 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
-from torch.nn import functional
 
-from freerein.goal_text import words
+from freerein.goal_text import Grammar, words
+from freerein_reward.model.dual_encoder import DualEncoder
 from freerein_reward.model.dual_encoder_model import DualEncoderModel
-from freerein_reward.model.known_phrases import KNOWN
+from freerein_reward.model.known_phrases import KNOWN, KnownPhrases
+from freerein_reward.model.vision_language import PLACES, BuiltIn, VisionLanguageModel, heat_maps
 
 _IMAGES_AT_ONCE = 64
 _STEEPNESS = 5.0
 _LEAST_ODDS = 1e-6
-_PEAK_RADIUS = 0.1
-"""Half-width of the window around a peak, as a fraction of the image."""
-
-_PEAK_FLOOR = 0.3
-"""Fraction of the peak below which heat does not count for the centroid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +63,36 @@ def heat_of_presence(presence: npt.NDArray[np.float64]) -> npt.NDArray[np.float6
     return heat
 
 
-class GradCamModel(DualEncoderModel):
-    """Locates phrases with a network trained on single objects.
+class PhraseLocator(ABC):
+    """Locates phrases with a vision-language model.
 
-    As a reward model it is the base model of section 4.2, which has not learned relations.
+    Attributes:
+        grammar: Knows the words that the model was trained on.
+        vision_language: The model.
+        place: How heat becomes a place, of `PLACES`.
     """
 
+    grammar: Grammar
+    vision_language: VisionLanguageModel
+    place = "centroid"
+
+    @property
+    @abstractmethod
+    def presence_heat(self) -> float:
+        """Peak of the heat at which an object is present with probability 1/2."""
+
+    @property
+    @abstractmethod
+    def known_phrases(self) -> KnownPhrases:
+        """Scores phrases."""
+
+    @property
+    def image_size(self) -> int:
+        """Height and width of the model's input, in pixels."""
+        return self.vision_language.image_size
+
     def locate(self, images: npt.NDArray[np.uint8], phrases: Sequence[str]) -> PhraseLocations:
-        """Returns the locations of one or more phrases in images uint8 (N, H, W, 3) of the network's size.
+        """Returns the locations of one or more phrases in images uint8 (N, H, W, 3) of the model's size.
 
         Names that no phrase says compete. Phrases that the model does not know have no heat, and lie in the middle.
         """
@@ -91,18 +110,14 @@ class GradCamModel(DualEncoderModel):
     @torch.inference_mode()
     def known(self, phrases: Sequence[str]) -> npt.NDArray[np.float32]:
         """Returns how well the model knows each phrase, float32 (P,) in [0, 1]; 0 with a word that it does not know."""
-        score = self.network.known_phrases
-        if score is None:
-            raise TypeError("This network has no score of phrases; expected a grounding model.")
-        scores = score(phrases, self.network.embed_texts(self.network.tokenize(phrases))).cpu().numpy()
+        scores = self.known_phrases(phrases, self.vision_language.embed_texts(phrases)).cpu().numpy()
         is_readable = [not self.grammar.unknown_words((phrase,)) for phrase in phrases]
         return np.where(is_readable, scores, 0).astype(np.float32)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The words of the vocabulary by which the model knows things, such as colours."""
-        score = self.network.known_phrases
-        candidates = score.names() if score is not None else ()
+        """The words by which the model knows things, such as colours."""
+        candidates = self.known_phrases.names()
         known = self.known([_named(word) for word in candidates]) if candidates else ()
         return tuple(word for word, score in zip(candidates, known, strict=True) if score >= KNOWN)
 
@@ -116,31 +131,50 @@ class GradCamModel(DualEncoderModel):
 
         Only the phrases given compete, and whether the model knows them is not asked.
         """
-        channels = self.channel_weights(phrases)
+        directions = contrast_texts(self.vision_language.embed_texts(phrases))
         parts = []
         for start in range(0, len(images), _IMAGES_AT_ONCE):
-            part = torch.tensor(images[start : start + _IMAGES_AT_ONCE], device=self.network.device)  # may be read-only
-            parts.append(self._locate(part, channels))
-        heatmaps, centroids, peaks = (torch.cat(each).cpu() for each in zip(*parts, strict=True))
-        x, y = centroids.double().unbind(dim=2)
+            part = torch.tensor(images[start : start + _IMAGES_AT_ONCE], device=directions.device)  # may be read-only
+            parts.append(self._locate(heat_maps(self.vision_language, part, directions)))
+        heatmaps, places, peaks = (torch.cat(each).cpu() for each in zip(*parts, strict=True))
+        x, y = places.double().unbind(dim=2)
         known = np.ones(len(phrases), np.float32)
         return PhraseLocations(heatmaps.numpy(), x.numpy(), y.numpy(), peaks.double().numpy(), known)
+
+    def _locate(self, heat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns heatmaps (N, P, h, w), places (N, P, 2) and peaks (N, P) of heat (N, P, h, w)."""
+        own = heat.where(heat == heat.amax(dim=1, keepdim=True), 0.0)  # phrases compete
+        peaks = own.amax(dim=(2, 3)) / self.presence_heat
+        return heat / heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-6), PLACES[self.place](own), peaks
+
+
+class GradCamModel(PhraseLocator, DualEncoderModel):
+    """Locates phrases with a dual encoder that was trained on single objects.
+
+    As a reward model it is the base model of section 4.2, which has not learned relations.
+    """
+
+    def __init__(self, network: DualEncoder) -> None:
+        super().__init__(network)
+        self._built_in = BuiltIn(self.network)
+        self.vision_language = self._built_in
+
+    @property
+    def presence_heat(self) -> float:
+        """Peak of the heat at which an object is present with probability 1/2."""
+        return self.network.spec.presence_heat
+
+    @property
+    def known_phrases(self) -> KnownPhrases:
+        """Scores phrases; a TypeError for a reward model's network."""
+        if self.network.known_phrases is None:
+            raise TypeError("This network has no score of phrases; expected a grounding model.")
+        return self.network.known_phrases
 
     @torch.no_grad()
     def channel_weights(self, phrases: Sequence[str]) -> Tensor:
         """Returns Grad-CAM's channel weights for each phrase, float32 (P, C)."""
-        texts = self.network.embed_texts(self.network.tokenize(phrases))
-        pool = self.network.image.attention_pool
-        weights: Tensor = contrast_texts(texts) @ pool.out.weight @ pool.value.weight
-        return weights
-
-    def _locate(self, images: Tensor, channels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns heatmaps (N, P, h, w), centroids (N, P, 2) and peaks (N, P) of images (N, H, W, 3)."""
-        maps = self.network.image.feature_maps(images)
-        heat = torch.einsum("pc,nchw->nphw", channels, maps).relu()
-        own = heat.where(heat == heat.amax(dim=1, keepdim=True), 0.0)  # phrases compete
-        peaks = own.amax(dim=(2, 3)) / self.network.spec.presence_heat
-        return heat / heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-6), _centroids(own), peaks
+        return self._built_in.channel_weights(contrast_texts(self._built_in.embed_texts(phrases)))
 
 
 def _named(word: str) -> str:
@@ -151,18 +185,3 @@ def contrast_texts(texts: Tensor) -> Tensor:
     """Returns each text embedding minus the mean of the others, (P, D) of (P, D)."""
     others = (texts.sum(dim=0) - texts) / max(1, len(texts) - 1)
     return texts - others
-
-
-def _centroids(heat: Tensor) -> Tensor:
-    """Returns the centroid of each heatmap's peak (N, P, h, w) as fractions of width and height: (N, P, 2)."""
-    fine = functional.interpolate(heat, scale_factor=4, mode="bilinear", align_corners=False)  # (N, P, 4 h, 4 w)
-    peaks, at = fine.flatten(start_dim=2).max(dim=2)  # (N, P)
-    height, width = fine.shape[2:]
-    rows = (torch.arange(height, device=heat.device) + 0.5) / height
-    columns = (torch.arange(width, device=heat.device) + 0.5) / width
-    near_rows = (rows - rows[at // width][..., None]).abs() <= _PEAK_RADIUS  # (N, P, 4 h)
-    near_columns = (columns - columns[at % width][..., None]).abs() <= _PEAK_RADIUS
-    core = (fine - _PEAK_FLOOR * peaks[..., None, None]).relu() + 1e-12
-    core = core * near_rows[..., :, None] * near_columns[..., None, :]
-    share = core / core.sum(dim=(2, 3), keepdim=True)
-    return torch.stack([(share.sum(dim=2) * columns).sum(dim=2), (share.sum(dim=3) * rows).sum(dim=2)], dim=2)

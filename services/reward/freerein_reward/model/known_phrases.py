@@ -28,17 +28,18 @@ class KnownPhrases(nn.Module):
     Args:
         vocabulary: W words of the training texts.
         size: D, dimension of the embeddings.
+        references: Reference images, N.
     """
 
     images: Tensor
     shown: Tensor
     nonsense: Tensor
 
-    def __init__(self, vocabulary: Sequence[str], size: int) -> None:
+    def __init__(self, vocabulary: Sequence[str], size: int, *, references: int = REFERENCES) -> None:
         super().__init__()
         self._places = {word: place for place, word in enumerate(vocabulary)}
-        self.register_buffer("images", torch.zeros(REFERENCES, size))
-        self.register_buffer("shown", torch.zeros(REFERENCES, len(vocabulary), dtype=torch.bool))
+        self.register_buffer("images", torch.zeros(references, size))
+        self.register_buffer("shown", torch.zeros(references, len(vocabulary), dtype=torch.bool))
         self.register_buffer("nonsense", torch.zeros(NONSENSE))
 
     @torch.no_grad()
@@ -46,9 +47,9 @@ class KnownPhrases(nn.Module):
         """Sets what scores are relative to.
 
         Args:
-            images: Embeddings of the reference images, float32 (`REFERENCES`, D).
-            shown: Whether an image shows what a word of the vocabulary names, bool (`REFERENCES`, W); all False for a
-                word that names nothing.
+            images: Embeddings of the reference images, float32 (N, D).
+            shown: Whether an image shows what a word of the vocabulary names, bool (N, W); all False for a word that
+                names nothing.
             nonsense: Embeddings of texts without meaning, float32 (`NONSENSE`, D).
         """
         self.images.copy_(images)
@@ -82,6 +83,10 @@ class KnownPhrases(nn.Module):
     def names(self) -> tuple[str, ...]:
         """Returns the words of the vocabulary that name something which a reference image shows."""
         return tuple(word for word, place in self._places.items() if self.shown[:, place].any())
+
+    def judges(self, phrase: str) -> bool:
+        """Returns whether a phrase has a word that names something which a reference image shows."""
+        return not {*words(phrase)}.isdisjoint(self.names())
 
     def _told(self, phrase: str, similarities: Tensor) -> Tensor:
         """Returns how well similarities (N,) tell images that show what all words name from others: AUROC, a scalar."""

@@ -24,10 +24,15 @@ def calibrate_presence(network: DualEncoder, learner: "GroundingLearner") -> Non
 
     Each image is queried for a few colours at a time, as in a request.
     """
-    peaks, is_shown = _peaks(network, learner)
+    heat = threshold_of_presence(*_peaks(network, learner))
+    network.spec = replace(network.spec, presence_heat=heat)
+
+
+def threshold_of_presence(peaks: npt.NDArray[np.float32], is_shown: npt.NDArray[np.bool_]) -> float:
+    """Returns the heat that best tells peaks (N,) of what is shown, bool (N,), from others, by balanced accuracy."""
     thresholds = np.quantile(peaks, np.linspace(0, 1, _THRESHOLDS))
     scores = [(peaks[is_shown] > level).mean() + (peaks[~is_shown] <= level).mean() for level in thresholds]
-    network.spec = replace(network.spec, presence_heat=float(max(thresholds[int(np.argmax(scores))], 1e-6)))
+    return float(max(thresholds[int(np.argmax(scores))], 1e-6))
 
 
 def evaluate_grounding(network: DualEncoder, learner: "GroundingLearner") -> dict[str, float]:

@@ -103,13 +103,17 @@ class AttentionPool(nn.Module):
         self.value = nn.Linear(channels, channels, bias=False)
         self.out = nn.Linear(channels, embedding_dim, bias=False)
 
-    def forward(self, maps: Tensor) -> Tensor:
-        """Returns the embeddings (N, D) of feature maps (N, C, h, w)."""
+    def forward(self, maps: Tensor, *, fixed_attention: bool = False) -> Tensor:
+        """Returns the embeddings (N, D) of feature maps (N, C, h, w).
+
+        With `fixed_attention` their gradient takes the attention weights for constants.
+        """
         cells = maps.flatten(start_dim=2)  # (N, C, S)
         cells = torch.cat([cells.mean(dim=2, keepdim=True), cells], dim=2)  # (N, C, 1 + S)
         query = self.query(cells[:, :, 0]).view(-1, *self._heads) * _HEAD_CHANNELS**-0.5  # (N, heads, C')
         scores = torch.einsum("nhk,hkc->nhc", query, self.key.weight.view(*self._heads, -1))  # (N, heads, C)
-        attended = (scores @ cells).softmax(dim=2) @ cells.transpose(1, 2)  # (N, heads, C)
+        weights = (scores @ cells).softmax(dim=2)  # (N, heads, 1 + S)
+        attended = (weights.detach() if fixed_attention else weights) @ cells.transpose(1, 2)  # (N, heads, C)
         values = torch.einsum("nhc,hkc->nhk", attended, self.value.weight.view(*self._heads, -1))  # (N, heads, C')
         embeddings: Tensor = self.out(values.flatten(start_dim=1))  # (N, D)
         return embeddings

@@ -24,7 +24,7 @@ from freerein_reward.methods.criterion_captions.network import CriterionNetwork
 from freerein_reward.methods.criterion_captions.place_dataset import ViewLayout, locate_phrases, view_layout
 from freerein_reward.methods.criterion_captions.spec import NO_CAMERA, CriterionSpec, check_views
 from freerein_reward.methods.shared.phrases import check_phrases, check_shown
-from freerein_reward.model import GradCamModel, load_grounding
+from freerein_reward.model import GradCamModel, load_built_in
 
 _CHANCE = 0.6
 """Balanced accuracy up to which a criterion counts as not learned."""
@@ -49,7 +49,7 @@ def _check(source: FitDataset, config: CriterionConfig, *, grounding: Path) -> N
             field="config.cameras",
             hint="Scale the frames alike when they are imported or recorded.",
         )
-    check_phrases(config.phrases, load_grounding(grounding, "cpu"), least=2)
+    check_phrases(config.phrases, load_built_in(grounding, "cpu"), least=2)
 
 
 def _check_widths(widths: Sequence[float]) -> None:
@@ -74,7 +74,7 @@ def _prepare(
         grounding: Folder of a version of the grounding model, named after it.
         captions: Folder of the fit, where places are cached and progress is logged.
     """
-    dataset, model = source.dataset, load_grounding(grounding, str(device))
+    dataset, model = source.dataset, load_built_in(grounding, str(device))
     (height, width), *_ = ((each.height, each.width) for each in source.cameras(config.cameras))
     layout = view_layout(config.cameras, config.views, config.object_widths, height / width)
     spec = network_spec(model, config, layout)  # rejects what is out of bounds before captioning

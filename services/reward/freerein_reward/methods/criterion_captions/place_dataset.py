@@ -20,7 +20,7 @@ from freerein_reward.methods.criterion_captions.config import CriterionConfig
 from freerein_reward.methods.criterion_captions.spec import NO_CAMERA
 from freerein_reward.methods.shared.frames import resized
 from freerein_reward.methods.shared.presence import alone_in_place, presence_in_dataset
-from freerein_reward.model import GradCamModel
+from freerein_reward.model import PhraseLocator
 
 _IMAGES_AT_ONCE = 256
 
@@ -138,14 +138,14 @@ def view_layout(cameras: Sequence[str], views: Sequence[str], widths: Sequence[f
 
 
 def locate_phrases(
-    dataset: Dataset, grounding: GradCamModel, config: CriterionConfig, layout: ViewLayout, path: Path
+    dataset: Dataset, grounding: PhraseLocator, config: CriterionConfig, layout: ViewLayout, path: Path
 ) -> PlaceDataset:
     """Returns a dataset's moments with the places of the phrases in each camera.
 
     `path` is a cache of the places, read when it exists, else written; `metrics.jsonl` beside it then has the fraction
     done, `captioned`, at step 0.
     """
-    size = grounding.network.spec.image_size
+    size = grounding.image_size
     steps = [dataset.cached_frames(camera).steps for camera in config.cameras]
     frames = tuple(resized(each, size) for each in steps)
     if path.is_file():
@@ -161,7 +161,7 @@ def locate_phrases(
 
 def find_places(
     frames: Sequence[Frames],
-    grounding: GradCamModel,
+    grounding: PhraseLocator,
     config: CriterionConfig,
     layout: ViewLayout,
     rows: MetricsWriter | None = None,

@@ -15,7 +15,7 @@ from freerein.learning.augmentation import turn_hue
 from freerein_reward.methods.criterion_captions.captions import HIDDEN, SHOWN, UNSURE, Labels
 from freerein_reward.methods.criterion_captions.place_dataset import PlaceDataset
 from freerein_reward.methods.shared.presence import alone_in_place
-from freerein_reward.model import GradCamModel
+from freerein_reward.model import PhraseLocator
 
 _LEAST_TURN = 0.2
 """Least turn of the hues either way, as a share of the colour circle: by less, as by `augment_camera`, things keep
@@ -23,7 +23,7 @@ their names, for the background turns with them."""
 
 
 def recolour_moments(
-    moments: PlaceDataset, grounding: GradCamModel, names: Sequence[str], *, least: float, generator: torch.Generator
+    moments: PlaceDataset, grounding: PhraseLocator, names: Sequence[str], *, least: float, generator: torch.Generator
 ) -> PlaceDataset:
     """Returns moments with all hues turned far, and the places of names in them, as those of phrases.
 

@@ -20,7 +20,7 @@ from freerein.relations import SpatialRelation, absence_caption, caption
 from freerein_reward.methods.relation_captions.config import RewardConfig
 from freerein_reward.methods.shared.frames import resized
 from freerein_reward.methods.shared.presence import alone_in_place, presence_in_dataset
-from freerein_reward.model import GradCamModel
+from freerein_reward.model import PhraseLocator
 from freerein_reward.model.phrase_relations import NO_CAPTION, pairwise_relations
 
 ABSENT = len(SpatialRelation)
@@ -53,12 +53,15 @@ class CaptionDataset:
         relations: int8 (N, P, P), relation of the row's phrase to the column's, `ABSENT` or `NO_CAPTION`.
         half_heat: float64 (P,), peak heat from which a phrase is rather shown than not, in units of the grounding
             model's.
+        keypoints: float32 (N, P, 3), where the grounding model found each phrase in the first view, as
+            `RelationPool.keypoints` has it; None where nobody kept it.
     """
 
     views: tuple[npt.NDArray[np.uint8], ...]
     phrases: tuple[str, ...]
     relations: npt.NDArray[np.int8]
     half_heat: npt.NDArray[np.float64]
+    keypoints: npt.NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return len(self.relations)
@@ -66,21 +69,26 @@ class CaptionDataset:
     def subset(self, items: npt.NDArray[np.int64]) -> "CaptionDataset":
         """Returns the images at some indices, int64 (n,)."""
         views = tuple(view[items] for view in self.views)
-        return replace(self, views=views, relations=self.relations[items])
+        keypoints = None if self.keypoints is None else self.keypoints[items]
+        return replace(self, views=views, relations=self.relations[items], keypoints=keypoints)
 
     def mirrored(self, flips: npt.NDArray[np.bool_]) -> "CaptionDataset":
         """Returns the dataset with the images where `flips`, bool (N,), mirrored left to right, captions included."""
         views = tuple(np.where(flips[:, None, None, None], view[:, :, ::-1], view) for view in self.views)
         is_turned = flips[:, None, None] & (self.relations != NO_CAPTION)
         relations = np.where(is_turned, _MIRRORED[self.relations], self.relations).astype(np.int8)
-        return replace(self, views=views, relations=relations)
+        keypoints = None if self.keypoints is None else np.where(flips[:, None, None], [1, -1, 1], 1) * self.keypoints
+        return replace(self, views=views, relations=relations, keypoints=keypoints)
 
     def augmented(self, strength: float, *, generator: torch.Generator) -> "CaptionDataset":
-        """Returns the dataset as other cameras would have seen it, the views of an image alike; captions stay."""
+        """Returns the dataset as other cameras would have seen it, the views of an image alike; captions stay.
+
+        Keypoints do not: nobody knows where phrases are now.
+        """
         takes = torch.arange(len(self)).repeat(len(self.views))
         frames = torch.from_numpy(np.concatenate(self.views))
         seen = augment_camera(frames, takes, strength=strength, generator=generator).numpy()
-        return replace(self, views=tuple(np.split(seen, len(self.views))))
+        return replace(self, views=tuple(np.split(seen, len(self.views))), keypoints=None)
 
     def split(
         self, lengths: npt.NDArray[np.int64], *, fraction: float, seed: int
@@ -109,27 +117,30 @@ class CaptionDataset:
         return training, validation
 
 
-def caption_images(dataset: Dataset, grounding: GradCamModel, config: RewardConfig, path: Path) -> CaptionDataset:
-    """Returns a dataset's images with a caption for each ordered pair of phrases that they show.
+def caption_images(
+    dataset: Dataset, grounding: PhraseLocator, config: RewardConfig, path: Path, *, size: int
+) -> CaptionDataset:
+    """Returns a dataset's images, of height and width `size`, with a caption for each ordered pair of phrases shown.
 
     The phrases are located in the frames of the first camera, and related in units of their width. `path` is a cache of
     the captions, read when it exists, else written; `metrics.jsonl` beside it then has the fraction done, `captioned`,
     at step 0.
     """
-    size = grounding.network.spec.image_size
     steps = [dataset.cached_frames(camera).steps for camera in config.cameras]
     views = tuple(resized(frames, size) for frames in steps)
     aspect = steps[0].shape[1] / steps[0].shape[2]
     if path.is_file():
         cached = tensor_files.parse(path.read_bytes())
         relations, half_heat = cached["relations"].numpy(), cached["half_heat"].numpy()
+        keypoints = cached["keypoints"].numpy() if "keypoints" in cached else None  # of an earlier version
     else:
         rows = MetricsWriter(path.with_name("metrics.jsonl"), last_step=-1)
-        x, y, heat, presence = _located(views[0], grounding, config, rows)
+        x, y, heat, presence = _located(steps[0], grounding, config, rows)
         relations, half_heat = image_relations(x, y * aspect, heat, presence, config)
-        tensors = {"relations": torch.from_numpy(relations), "half_heat": torch.from_numpy(half_heat)}
-        write_atomic(path, tensor_files.dump(tensors))
-    return CaptionDataset(views, config.phrases, relations, half_heat)
+        keypoints = place_keypoints(x, y, heat, presence)
+        found = {"relations": relations, "half_heat": half_heat, "keypoints": keypoints}
+        write_atomic(path, tensor_files.dump({name: torch.from_numpy(each) for name, each in found.items()}))
+    return CaptionDataset(views, config.phrases, relations, half_heat, keypoints)
 
 
 def ordered_pairs(count: int) -> npt.NDArray[np.int64]:
@@ -181,13 +192,25 @@ def image_relations(
     return np.where(absent, ABSENT, shown).astype(np.int8), judged.half_heat
 
 
+def place_keypoints(
+    x: npt.NDArray[np.float64],
+    y: npt.NDArray[np.float64],
+    heat: npt.NDArray[np.float64],
+    presence: npt.NDArray[np.float64],
+) -> npt.NDArray[np.float32]:
+    """Returns the keypoints, float32 (N, P, 3), of phrases that were located in N images, as in `PhraseLocations`."""
+    shown = presence_in_dataset(heat, presence).probability
+    return np.stack([(2 * y - 1) * shown, (2 * x - 1) * shown, shown], axis=2).astype(np.float32)
+
+
 def _located(
-    frames: npt.NDArray[np.uint8], grounding: GradCamModel, config: RewardConfig, rows: MetricsWriter
+    frames: npt.NDArray[np.uint8], grounding: PhraseLocator, config: RewardConfig, rows: MetricsWriter
 ) -> npt.NDArray[np.float64]:
-    """Returns x, y, heat and presence of each phrase in frames (N, H, W, 3), float64 (4, N, P)."""
+    """Returns x, y, heat and presence of each phrase in frames (N, H, W, C), float64 (4, N, P)."""
     parts = []
     for start in range(0, len(frames), _IMAGES_AT_ONCE):
-        found = grounding.ground(frames[start : start + _IMAGES_AT_ONCE], config.phrases)
+        seen = resized(frames[start : start + _IMAGES_AT_ONCE], grounding.image_size)
+        found = grounding.ground(seen, config.phrases)
         parts.append(np.stack([found.x, found.y, found.heat, found.presence]))
         rows.append(0, {"captioned": min(1.0, (start + _IMAGES_AT_ONCE) / len(frames))})
     return np.concatenate(parts, axis=1)

@@ -1,6 +1,7 @@
 """Configuration of `relation_captions`."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from freerein.config import bounded
 from freerein.learning.fit_config import DatasetFitConfig
@@ -18,6 +19,10 @@ class RewardConfig(DatasetFitConfig):
         augmentation: Strength of the camera augmentation; 0 for none.
         hidden_size: Units of each of the two hidden layers of the relation pooling.
         embedding_dim: Dimension of a pair's embedding.
+        initial: What the fit begins with: the convolutions of the grounding model, which stays as it is, or random
+            weights. A grounding model that was trained elsewhere needs `scratch`.
+        distillation: Weight of the loss that holds the places of phrases where the grounding model finds them in the
+            first camera; 0 for none. From scratch, 10 finds them in a few hundred steps.
     """
 
     phrases: tuple[str, ...] = ()
@@ -30,3 +35,5 @@ class RewardConfig(DatasetFitConfig):
     augmentation: float = bounded(1.0, least=0.0, most=1.0)
     hidden_size: int = bounded(64, least=1, most=4096)
     embedding_dim: int = bounded(16, least=4, most=64)
+    initial: Literal["grounding", "scratch"] = "grounding"
+    distillation: float = bounded(0.0, least=0.0, most=1000.0)

@@ -22,7 +22,7 @@ from freerein_reward.methods.relation_captions.caption_dataset import (
     pair_captions,
 )
 from freerein_reward.methods.relation_captions.config import RewardConfig
-from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, channels_last
+from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, PhraseLocator, channels_last
 
 State = TrainState[DualEncoder]
 
@@ -33,7 +33,9 @@ _HEAT_FLOOR = 0.5
 
 @dataclass(frozen=True, eq=False)
 class RewardModelLearner(Learner[DualEncoder]):
-    """The learner of a dual encoder of relations, initialised from `grounding`.
+    """The learner of a dual encoder of relations, initialised from `grounding` or from scratch.
+
+    Batch normalisation has the statistics of the grounding model, or else those of the batches.
 
     Attributes:
         held_out_trajectories: Those that validation images are from; 0 where each shows a scene of its own.
@@ -43,7 +45,7 @@ class RewardModelLearner(Learner[DualEncoder]):
     spec: DualEncoderSpec
     training: CaptionDataset
     validation: CaptionDataset
-    grounding: GradCamModel
+    grounding: PhraseLocator
     grounding_version: str
     fingerprint: str
     device: torch.device
@@ -55,27 +57,32 @@ class RewardModelLearner(Learner[DualEncoder]):
         return len(self.training)
 
     def init(self, generator: torch.Generator) -> State:
-        """Returns the initial state, with the image encoder of the grounding model."""
+        """Returns the initial state, by default with the image encoder of the grounding model."""
         network = DualEncoder(self.spec)
         weights.initialise(network, generator=generator)
-        init_from_grounding(network, self.grounding, self.training)
+        if self.config.initial == "grounding":
+            init_from_grounding(network, built_in(self.grounding), self.training)
         return TrainState.with_adam(channels_last(network.to(self.device)), self.config.lr, generator=generator)
 
     def loss(self, state: State, items: Items) -> Losses:
         """Returns the loss of some images."""
         batch = self._mirror(self.training.subset(items), state)
-        scores = _scores(state.network, _stacked_views(batch), batch.phrases)
+        network = state.network.train(self.config.initial == "scratch")
+        scores = _scores(network, _stacked_views(batch), batch.phrases)
         loss = relation_cross_entropy(scores, _targets(batch).to(self.device))
-        loss = loss + naming_loss(state.network, batch.phrases)
+        loss = loss + naming_loss(network, batch.phrases)
+        if self.config.distillation:
+            loss = loss + self.config.distillation * distillation_loss(network, batch)
         strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
         if strength:
             seen = batch.augmented(strength, generator=state.generator)
-            loss = loss + agreement(_scores(state.network, _stacked_views(seen), batch.phrases), scores)
+            loss = loss + agreement(_scores(network, _stacked_views(seen), batch.phrases), scores)
         return {"train_loss": loss}
 
     def evaluate(self, state: State) -> float:
         """Returns the cross-entropy of the captions of the validation images, as they are and augmented."""
         generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
+        state.network.eval()
         seen = [self.validation]
         if strength:
             seen.append(self.validation.augmented(strength, generator=generator))
@@ -88,6 +95,7 @@ class RewardModelLearner(Learner[DualEncoder]):
         generator = torch.Generator().manual_seed(self.config.seed)
         sampled = np.linspace(0, self.size - 1, min(self.size, KNOWN_FRAMES)).round().astype(np.int64)
         known = self.training.subset(sampled).augmented(self.config.augmentation, generator=generator)
+        network.eval()
         confidence = caption_scores(network, self.validation).softmax(dim=2).amax(dim=2)  # (N, pairs), an answer each
         held_out = network.statistics(_stacked_views(self.validation))
         if network.in_distribution is None:
@@ -122,6 +130,13 @@ def network_spec(grounding: DualEncoderSpec, config: RewardConfig) -> DualEncode
     )
 
 
+def built_in(grounding: PhraseLocator) -> GradCamModel:
+    """Returns the grounding model if its weights fit a reward model's; a TypeError for one trained elsewhere."""
+    if not isinstance(grounding, GradCamModel):
+        raise TypeError("This grounding model was trained elsewhere; expected the built-in one.")
+    return grounding
+
+
 @torch.no_grad()
 def init_from_grounding(network: DualEncoder, grounding: GradCamModel, dataset: CaptionDataset) -> None:
     """Copies the grounding model's convolutions, and gives each phrase a keypoint with its Grad-CAM weights.
@@ -136,6 +151,15 @@ def init_from_grounding(network: DualEncoder, grounding: GradCamModel, dataset: 
     heat = ours.relation_pool.heat
     heat.weight.copy_(grounding.channel_weights(dataset.phrases) / half_heat[:, None])
     heat.bias.fill_(-_HEAT_FLOOR)
+
+
+def distillation_loss(network: DualEncoder, dataset: CaptionDataset) -> Tensor:
+    """Returns the mean squared distance of keypoints from those of the grounding model, a scalar (section 4.2)."""
+    if dataset.keypoints is None:
+        raise TypeError("These images have no keypoints; expected those that captions were made from.")
+    maps = network.image.feature_maps(torch.from_numpy(dataset.views[0]).to(network.device))
+    taught = torch.from_numpy(dataset.keypoints).to(network.device, torch.float32)
+    return functional.mse_loss(network.image.relation_pool.keypoints(maps), taught)
 
 
 @torch.no_grad()

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from freerein.errors import InvalidInput
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
@@ -16,11 +17,30 @@ from freerein_reward.methods.relation_captions.config import RewardConfig
 from freerein_reward.methods.relation_captions.evaluation import evaluate_reward
 from freerein_reward.methods.relation_captions.losses import RewardModelLearner, network_spec
 from freerein_reward.methods.shared.phrases import check_phrases, check_shown
-from freerein_reward.model import DualEncoder, load_grounding, load_reward_model
+from freerein_reward.model import (
+    DualEncoder,
+    DualEncoderSpec,
+    GradCamModel,
+    PhraseLocator,
+    load_grounding,
+    load_reward_model,
+)
 
 
 def _check(_source: FitDataset, config: RewardConfig, *, grounding: Path) -> None:
-    check_phrases(config.phrases, load_grounding(grounding, "cpu"), least=2)
+    model = load_grounding(grounding, "cpu")
+    _check_initial(config, model)
+    check_phrases(config.phrases, model, least=2)
+
+
+def _check_initial(config: RewardConfig, model: PhraseLocator) -> None:
+    if config.initial == "grounding" and not isinstance(model, GradCamModel):
+        raise InvalidInput(
+            "`initial` must be scratch with a grounding model that was trained elsewhere: its weights fit no reward "
+            f"model; got {config.initial}.",
+            field="config.initial",
+            hint="Add --set initial=scratch --set distillation=10.",
+        )
 
 
 def _prepare(
@@ -36,15 +56,21 @@ def _prepare(
         captions: Folder of the fit, where captions are cached and progress is logged.
     """
     dataset, model = source.dataset, load_grounding(grounding, str(device))
-    spec = network_spec(model.network.spec, config)  # rejects what is out of bounds before captioning
-    images = caption_images(dataset, model, config, captions / f"captions-{grounding.name}.safetensors")
-    check_shown(images.views[0], config.phrases, model)
+    spec = network_spec(_base_spec(model), config)  # rejects what is out of bounds before captioning
+    cache = captions / f"captions-{grounding.name}.safetensors"
+    images = caption_images(dataset, model, config, cache, size=spec.image_size)
+    check_shown(dataset.cached_frames(config.cameras[0]).steps, config.phrases, model)
     training, validation = images.split(dataset.lengths, fraction=config.validation_fraction, seed=config.seed)
     _, held_out = train_validation_split(np.arange(len(dataset)), fraction=config.validation_fraction, seed=config.seed)
     fingerprint = f"{dataset.fingerprint} {grounding.name}"
     return RewardModelLearner(
         config, spec, training, validation, model, grounding.name, fingerprint, device, len(held_out)
     )
+
+
+def _base_spec(model: PhraseLocator) -> DualEncoderSpec:
+    """Returns the sizes of a reward model: those of the grounding model, or the defaults."""
+    return model.network.spec if isinstance(model, GradCamModel) else DualEncoderSpec(cameras=("",), vocabulary=("a",))
 
 
 def _card(source: FitDataset, learner: RewardModelLearner, fitted: FitResult[DualEncoder]) -> dict[str, Any]:

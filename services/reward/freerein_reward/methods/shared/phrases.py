@@ -7,7 +7,8 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein.goal_text import MAX_UNKNOWN_CHARACTERS, bare_words, rival_captions, words
-from freerein_reward.model import KNOWN, GradCamModel
+from freerein_reward.methods.shared.frames import resized
+from freerein_reward.model import KNOWN, PhraseLocator
 
 MAX_PHRASES = 16
 """Captions grow with the square, and the memory of embeddings of all pairs with the fourth power."""
@@ -16,7 +17,7 @@ _SAMPLE = 256
 """Images that are searched for a phrase."""
 
 
-def check_phrases(phrases: Sequence[str], grounding: GradCamModel, *, least: int) -> None:
+def check_phrases(phrases: Sequence[str], grounding: PhraseLocator, *, least: int) -> None:
     """Raises InvalidInput unless phrases are distinct, of a bearable number, and known to the grounding model.
 
     Captions would name something else for a phrase that the grounding model does not know.
@@ -43,14 +44,14 @@ def check_phrases(phrases: Sequence[str], grounding: GradCamModel, *, least: int
         )
 
 
-def check_shown(frames: npt.NDArray[np.uint8], phrases: Sequence[str], grounding: GradCamModel) -> None:
+def check_shown(frames: npt.NDArray[np.uint8], phrases: Sequence[str], grounding: PhraseLocator) -> None:
     """Raises InvalidInput where no image shows a phrase: captions would say of other objects that they are it.
 
     Here, unlike in captioning, phrases compete with all names that the grounding model knows. `frames` are uint8
-    (N, H, W, 3), of which a sample is searched.
+    (N, H, W, C), of which a sample is searched.
     """
     sample = np.linspace(0, len(frames) - 1, min(len(frames), _SAMPLE)).round().astype(np.int64)
-    presence = grounding.locate(frames[sample], phrases).presence.max(axis=0)  # (P,)
+    presence = grounding.locate(resized(frames[sample], grounding.image_size), phrases).presence.max(axis=0)  # (P,)
     missing = [phrase for phrase, most in zip(phrases, presence.tolist(), strict=True) if most < 0.5]
     if missing:
         raise InvalidInput(

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from freerein.api.common.v1 import common_pb2 as freerein_dot_api_dot_common_dot_v1_dot_common__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#freerein/api/reward/v1/reward.proto\x12\x16\x66reerein.api.reward.v1\x1a#freerein/api/common/v1/common.proto\"\xd6\x03\n\rRewardRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12T\n\x06\x66rames\x18\x02 \x03(\x0b\x32\x31.freerein.api.reward.v1.RewardRequest.FramesEntryB\x11\x88\xb5\x18@\x90\xb5\x18\x10\x9a\xb5\x18\x05UINT8\x12\x35\n\x06images\x18\x03 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x06\x90\xb5\x18\xa0\x9c\x01\x12\x18\n\tgoal_text\x18\x04 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\x12\x19\n\x06rivals\x18\x05 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\x12=\n\x04mode\x18\x06 \x01(\x0e\x32*.freerein.api.reward.v1.RewardRequest.ModeH\x00\x88\x01\x01\x1aM\n\x0b\x46ramesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12-\n\x05value\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor:\x02\x38\x01\";\n\x04Mode\x12\x14\n\x10MODE_UNSPECIFIED\x10\x00\x12\x0f\n\x0bMODE_BINARY\x10\x01\x12\x0c\n\x08MODE_RAW\x10\x02\x42\x07\n\x05_mode\"\xa0\x02\n\x0eRewardResponse\x12\x0f\n\x07rewards\x18\x01 \x03(\x02\x12\x14\n\x0csimilarities\x18\x02 \x03(\x02\x12\x0f\n\x07winners\x18\x03 \x03(\r\x12\r\n\x05texts\x18\x04 \x03(\t\x12\x11\n\ttruncated\x18\x05 \x01(\x08\x12/\n\x05model\x18\x07 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x08 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\t \x03(\t\x12\x17\n\x0fin_distribution\x18\n \x03(\x02\x12\x14\n\x0c\x64id_you_mean\x18\x0b \x01(\tJ\x04\x08\x06\x10\x07R\runknown_words\"\x8a\x01\n\rGroundRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12,\n\x05image\x18\x02 \x01(\x0b\x32\x1d.freerein.api.common.v1.Image\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\"t\n\tGrounding\x12\x0e\n\x06phrase\x18\x01 \x01(\t\x12/\n\x07heatmap\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\t\n\x01x\x18\x03 \x01(\x01\x12\t\n\x01y\x18\x04 \x01(\x01\x12\x10\n\x08presence\x18\x05 \x01(\x01\".\n\rUnknownPhrase\x12\x0e\n\x06phrase\x18\x01 \x01(\t\x12\r\n\x05words\x18\x02 \x03(\t\"\xf9\x01\n\x0eGroundResponse\x12\x35\n\ngroundings\x18\x01 \x03(\x0b\x32!.freerein.api.reward.v1.Grounding\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x04 \x03(\t\x12>\n\x0funknown_phrases\x18\x05 \x03(\x0b\x32%.freerein.api.reward.v1.UnknownPhrase\"\xb6\x01\n\x0f\x44\x65scribeRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x34\n\x06images\x18\x02 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x05\x90\xb5\x18\x80\x02\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18\x10\x12\x14\n\x07\x65psilon\x18\x04 \x01(\x01H\x00\x88\x01\x01\x42\n\n\x08_epsilon\"\x1f\n\x0b\x44\x65scription\x12\x10\n\x08\x63\x61ptions\x18\x01 \x03(\t\"\xff\x01\n\x10\x44\x65scribeResponse\x12\x39\n\x0c\x64\x65scriptions\x18\x01 \x03(\x0b\x32#.freerein.api.reward.v1.Description\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x04 \x03(\t\x12>\n\x0funknown_phrases\x18\x05 \x03(\x0b\x32%.freerein.api.reward.v1.UnknownPhrase\"]\n\x10\x45mbedGoalRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x18\n\tgoal_text\x18\x02 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\"\xf6\x01\n\x11\x45mbedGoalResponse\x12\x31\n\tembedding\x18\x01 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x11\n\ttruncated\x18\x02 \x01(\x08\x12/\n\x05model\x18\x04 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x05 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x06 \x03(\t\x12\x14\n\x0c\x64id_you_mean\x18\x07 \x01(\tJ\x04\x08\x03\x10\x04R\runknown_words2\x82\x03\n\rRewardService\x12W\n\x06Reward\x12%.freerein.api.reward.v1.RewardRequest\x1a&.freerein.api.reward.v1.RewardResponse\x12W\n\x06Ground\x12%.freerein.api.reward.v1.GroundRequest\x1a&.freerein.api.reward.v1.GroundResponse\x12]\n\x08\x44\x65scribe\x12\'.freerein.api.reward.v1.DescribeRequest\x1a(.freerein.api.reward.v1.DescribeResponse\x12`\n\tEmbedGoal\x12(.freerein.api.reward.v1.EmbedGoalRequest\x1a).freerein.api.reward.v1.EmbedGoalResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#freerein/api/reward/v1/reward.proto\x12\x16\x66reerein.api.reward.v1\x1a#freerein/api/common/v1/common.proto\"\xd6\x03\n\rRewardRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12T\n\x06\x66rames\x18\x02 \x03(\x0b\x32\x31.freerein.api.reward.v1.RewardRequest.FramesEntryB\x11\x88\xb5\x18@\x90\xb5\x18\x10\x9a\xb5\x18\x05UINT8\x12\x35\n\x06images\x18\x03 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x06\x90\xb5\x18\xa0\x9c\x01\x12\x18\n\tgoal_text\x18\x04 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\x12\x19\n\x06rivals\x18\x05 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\x12=\n\x04mode\x18\x06 \x01(\x0e\x32*.freerein.api.reward.v1.RewardRequest.ModeH\x00\x88\x01\x01\x1aM\n\x0b\x46ramesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12-\n\x05value\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor:\x02\x38\x01\";\n\x04Mode\x12\x14\n\x10MODE_UNSPECIFIED\x10\x00\x12\x0f\n\x0bMODE_BINARY\x10\x01\x12\x0c\n\x08MODE_RAW\x10\x02\x42\x07\n\x05_mode\"\xa0\x02\n\x0eRewardResponse\x12\x0f\n\x07rewards\x18\x01 \x03(\x02\x12\x14\n\x0csimilarities\x18\x02 \x03(\x02\x12\x0f\n\x07winners\x18\x03 \x03(\r\x12\r\n\x05texts\x18\x04 \x03(\t\x12\x11\n\ttruncated\x18\x05 \x01(\x08\x12/\n\x05model\x18\x07 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x08 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\t \x03(\t\x12\x17\n\x0fin_distribution\x18\n \x03(\x02\x12\x14\n\x0c\x64id_you_mean\x18\x0b \x01(\tJ\x04\x08\x06\x10\x07R\runknown_words\"}\n\x13RewardStreamRequest\x12\x32\n\x05hello\x18\x01 \x01(\x0b\x32#.freerein.api.reward.v1.RewardHello\x12\x32\n\x05\x66rame\x18\x02 \x01(\x0b\x32#.freerein.api.reward.v1.RewardFrame\"\xbb\x01\n\x0bRewardHello\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x18\n\tgoal_text\x18\x02 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\x12\x19\n\x06rivals\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\x12=\n\x04mode\x18\x04 \x01(\x0e\x32*.freerein.api.reward.v1.RewardRequest.ModeH\x00\x88\x01\x01\x42\x07\n\x05_mode\"\xf2\x01\n\x0bRewardFrame\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12R\n\x06\x66rames\x18\x02 \x03(\x0b\x32/.freerein.api.reward.v1.RewardFrame.FramesEntryB\x11\x88\xb5\x18@\x90\xb5\x18\x10\x9a\xb5\x18\x05UINT8\x12\x33\n\x06images\x18\x03 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x04\x90\xb5\x18\x10\x1aM\n\x0b\x46ramesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12-\n\x05value\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor:\x02\x38\x01\"\xf6\x01\n\x14RewardStreamResponse\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12:\n\x06opened\x18\x02 \x01(\x0b\x32*.freerein.api.reward.v1.RewardStreamOpened\x12\x33\n\x06reward\x18\x03 \x01(\x0b\x32#.freerein.api.reward.v1.FrameReward\x12,\n\x05\x65rror\x18\x04 \x01(\x0b\x32\x1d.freerein.api.common.v1.Error\x12\x32\n\x08\x64raining\x18\x05 \x01(\x0b\x32 .freerein.api.common.v1.Draining\"\x9f\x01\n\x12RewardStreamOpened\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x0f\n\x07\x63\x61meras\x18\x02 \x03(\t\x12\r\n\x05texts\x18\x03 \x03(\t\x12\x11\n\ttruncated\x18\x04 \x01(\x08\x12\x0f\n\x07unknown\x18\x05 \x03(\t\x12\x14\n\x0c\x64id_you_mean\x18\x06 \x01(\t\"\xa3\x01\n\x0b\x46rameReward\x12\x0e\n\x06reward\x18\x01 \x01(\x02\x12\x12\n\nsimilarity\x18\x02 \x01(\x02\x12\x0e\n\x06winner\x18\x03 \x01(\r\x12\x1c\n\x0fin_distribution\x18\x04 \x01(\x02H\x00\x88\x01\x01\x12.\n\x06timing\x18\x05 \x01(\x0b\x32\x1e.freerein.api.common.v1.TimingB\x12\n\x10_in_distribution\"\x8a\x01\n\rGroundRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12,\n\x05image\x18\x02 \x01(\x0b\x32\x1d.freerein.api.common.v1.Image\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18@\"t\n\tGrounding\x12\x0e\n\x06phrase\x18\x01 \x01(\t\x12/\n\x07heatmap\x18\x02 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\t\n\x01x\x18\x03 \x01(\x01\x12\t\n\x01y\x18\x04 \x01(\x01\x12\x10\n\x08presence\x18\x05 \x01(\x01\".\n\rUnknownPhrase\x12\x0e\n\x06phrase\x18\x01 \x01(\t\x12\r\n\x05words\x18\x02 \x03(\t\"\xf9\x01\n\x0eGroundResponse\x12\x35\n\ngroundings\x18\x01 \x03(\x0b\x32!.freerein.api.reward.v1.Grounding\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x04 \x03(\t\x12>\n\x0funknown_phrases\x18\x05 \x03(\x0b\x32%.freerein.api.reward.v1.UnknownPhrase\"\xb6\x01\n\x0f\x44\x65scribeRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x34\n\x06images\x18\x02 \x03(\x0b\x32\x1d.freerein.api.common.v1.ImageB\x05\x90\xb5\x18\x80\x02\x12\x1a\n\x07phrases\x18\x03 \x03(\tB\t\x88\xb5\x18\xd0\x0f\x90\xb5\x18\x10\x12\x14\n\x07\x65psilon\x18\x04 \x01(\x01H\x00\x88\x01\x01\x42\n\n\x08_epsilon\"\x1f\n\x0b\x44\x65scription\x12\x10\n\x08\x63\x61ptions\x18\x01 \x03(\t\"\xff\x01\n\x10\x44\x65scribeResponse\x12\x39\n\x0c\x64\x65scriptions\x18\x01 \x03(\x0b\x32#.freerein.api.reward.v1.Description\x12/\n\x05model\x18\x02 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x04 \x03(\t\x12>\n\x0funknown_phrases\x18\x05 \x03(\x0b\x32%.freerein.api.reward.v1.UnknownPhrase\"]\n\x10\x45mbedGoalRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x18\n\tgoal_text\x18\x02 \x01(\tB\x05\x88\xb5\x18\xd0\x0f\"\xf6\x01\n\x11\x45mbedGoalResponse\x12\x31\n\tembedding\x18\x01 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x11\n\ttruncated\x18\x02 \x01(\x08\x12/\n\x05model\x18\x04 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x05 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x0f\n\x07unknown\x18\x06 \x03(\t\x12\x14\n\x0c\x64id_you_mean\x18\x07 \x01(\tJ\x04\x08\x03\x10\x04R\runknown_words2\xf1\x03\n\rRewardService\x12W\n\x06Reward\x12%.freerein.api.reward.v1.RewardRequest\x1a&.freerein.api.reward.v1.RewardResponse\x12m\n\x0cRewardStream\x12+.freerein.api.reward.v1.RewardStreamRequest\x1a,.freerein.api.reward.v1.RewardStreamResponse(\x01\x30\x01\x12W\n\x06Ground\x12%.freerein.api.reward.v1.GroundRequest\x1a&.freerein.api.reward.v1.GroundResponse\x12]\n\x08\x44\x65scribe\x12\'.freerein.api.reward.v1.DescribeRequest\x1a(.freerein.api.reward.v1.DescribeResponse\x12`\n\tEmbedGoal\x12(.freerein.api.reward.v1.EmbedGoalRequest\x1a).freerein.api.reward.v1.EmbedGoalResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -42,6 +42,16 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_REWARDREQUEST'].fields_by_name['goal_text']._serialized_options = b'\210\265\030\320\017'
   _globals['_REWARDREQUEST'].fields_by_name['rivals']._loaded_options = None
   _globals['_REWARDREQUEST'].fields_by_name['rivals']._serialized_options = b'\210\265\030\320\017\220\265\030@'
+  _globals['_REWARDHELLO'].fields_by_name['goal_text']._loaded_options = None
+  _globals['_REWARDHELLO'].fields_by_name['goal_text']._serialized_options = b'\210\265\030\320\017'
+  _globals['_REWARDHELLO'].fields_by_name['rivals']._loaded_options = None
+  _globals['_REWARDHELLO'].fields_by_name['rivals']._serialized_options = b'\210\265\030\320\017\220\265\030@'
+  _globals['_REWARDFRAME_FRAMESENTRY']._loaded_options = None
+  _globals['_REWARDFRAME_FRAMESENTRY']._serialized_options = b'8\001'
+  _globals['_REWARDFRAME'].fields_by_name['frames']._loaded_options = None
+  _globals['_REWARDFRAME'].fields_by_name['frames']._serialized_options = b'\210\265\030@\220\265\030\020\232\265\030\005UINT8'
+  _globals['_REWARDFRAME'].fields_by_name['images']._loaded_options = None
+  _globals['_REWARDFRAME'].fields_by_name['images']._serialized_options = b'\220\265\030\020'
   _globals['_GROUNDREQUEST'].fields_by_name['phrases']._loaded_options = None
   _globals['_GROUNDREQUEST'].fields_by_name['phrases']._serialized_options = b'\210\265\030\320\017\220\265\030@'
   _globals['_DESCRIBEREQUEST'].fields_by_name['images']._loaded_options = None
@@ -58,24 +68,38 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_REWARDREQUEST_MODE']._serialized_end=562
   _globals['_REWARDRESPONSE']._serialized_start=574
   _globals['_REWARDRESPONSE']._serialized_end=862
-  _globals['_GROUNDREQUEST']._serialized_start=865
-  _globals['_GROUNDREQUEST']._serialized_end=1003
-  _globals['_GROUNDING']._serialized_start=1005
-  _globals['_GROUNDING']._serialized_end=1121
-  _globals['_UNKNOWNPHRASE']._serialized_start=1123
-  _globals['_UNKNOWNPHRASE']._serialized_end=1169
-  _globals['_GROUNDRESPONSE']._serialized_start=1172
-  _globals['_GROUNDRESPONSE']._serialized_end=1421
-  _globals['_DESCRIBEREQUEST']._serialized_start=1424
-  _globals['_DESCRIBEREQUEST']._serialized_end=1606
-  _globals['_DESCRIPTION']._serialized_start=1608
-  _globals['_DESCRIPTION']._serialized_end=1639
-  _globals['_DESCRIBERESPONSE']._serialized_start=1642
-  _globals['_DESCRIBERESPONSE']._serialized_end=1897
-  _globals['_EMBEDGOALREQUEST']._serialized_start=1899
-  _globals['_EMBEDGOALREQUEST']._serialized_end=1992
-  _globals['_EMBEDGOALRESPONSE']._serialized_start=1995
-  _globals['_EMBEDGOALRESPONSE']._serialized_end=2241
-  _globals['_REWARDSERVICE']._serialized_start=2244
-  _globals['_REWARDSERVICE']._serialized_end=2630
+  _globals['_REWARDSTREAMREQUEST']._serialized_start=864
+  _globals['_REWARDSTREAMREQUEST']._serialized_end=989
+  _globals['_REWARDHELLO']._serialized_start=992
+  _globals['_REWARDHELLO']._serialized_end=1179
+  _globals['_REWARDFRAME']._serialized_start=1182
+  _globals['_REWARDFRAME']._serialized_end=1424
+  _globals['_REWARDFRAME_FRAMESENTRY']._serialized_start=424
+  _globals['_REWARDFRAME_FRAMESENTRY']._serialized_end=501
+  _globals['_REWARDSTREAMRESPONSE']._serialized_start=1427
+  _globals['_REWARDSTREAMRESPONSE']._serialized_end=1673
+  _globals['_REWARDSTREAMOPENED']._serialized_start=1676
+  _globals['_REWARDSTREAMOPENED']._serialized_end=1835
+  _globals['_FRAMEREWARD']._serialized_start=1838
+  _globals['_FRAMEREWARD']._serialized_end=2001
+  _globals['_GROUNDREQUEST']._serialized_start=2004
+  _globals['_GROUNDREQUEST']._serialized_end=2142
+  _globals['_GROUNDING']._serialized_start=2144
+  _globals['_GROUNDING']._serialized_end=2260
+  _globals['_UNKNOWNPHRASE']._serialized_start=2262
+  _globals['_UNKNOWNPHRASE']._serialized_end=2308
+  _globals['_GROUNDRESPONSE']._serialized_start=2311
+  _globals['_GROUNDRESPONSE']._serialized_end=2560
+  _globals['_DESCRIBEREQUEST']._serialized_start=2563
+  _globals['_DESCRIBEREQUEST']._serialized_end=2745
+  _globals['_DESCRIPTION']._serialized_start=2747
+  _globals['_DESCRIPTION']._serialized_end=2778
+  _globals['_DESCRIBERESPONSE']._serialized_start=2781
+  _globals['_DESCRIBERESPONSE']._serialized_end=3036
+  _globals['_EMBEDGOALREQUEST']._serialized_start=3038
+  _globals['_EMBEDGOALREQUEST']._serialized_end=3131
+  _globals['_EMBEDGOALRESPONSE']._serialized_start=3134
+  _globals['_EMBEDGOALRESPONSE']._serialized_end=3380
+  _globals['_REWARDSERVICE']._serialized_start=3383
+  _globals['_REWARDSERVICE']._serialized_end=3880
 # @@protoc_insertion_point(module_scope)

@@ -212,6 +212,271 @@ class RewardResponse(_message.Message):
 Global___RewardResponse: _TypeAlias = RewardResponse  # noqa: Y015
 
 @_typing.final
+class RewardStreamRequest(_message.Message):
+    """A message to a reward stream: either a Hello, which is the first and only one, or a frame."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    HELLO_FIELD_NUMBER: _builtins.int
+    FRAME_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def hello(self) -> Global___RewardHello:
+        """Opens the stream."""
+
+    @_builtins.property
+    def frame(self) -> Global___RewardFrame:
+        """The next frame."""
+
+    def __init__(
+        self,
+        *,
+        hello: Global___RewardHello | None = ...,
+        frame: Global___RewardFrame | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["frame", b"frame", "hello", b"hello"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["frame", b"frame", "hello", b"hello"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___RewardStreamRequest: _TypeAlias = RewardStreamRequest  # noqa: Y015
+
+@_typing.final
+class RewardHello(_message.Message):
+    """Model and goal text of a reward stream."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MODEL_FIELD_NUMBER: _builtins.int
+    GOAL_TEXT_FIELD_NUMBER: _builtins.int
+    RIVALS_FIELD_NUMBER: _builtins.int
+    MODE_FIELD_NUMBER: _builtins.int
+    goal_text: _builtins.str
+    """As in RewardRequest."""
+    mode: Global___RewardRequest.Mode.ValueType
+    """As in RewardRequest."""
+    @_builtins.property
+    def model(self) -> _common_pb2.ModelRef:
+        """Which model; unset for the active version of the default one. The stream keeps its version."""
+
+    @_builtins.property
+    def rivals(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """As in RewardRequest."""
+
+    def __init__(
+        self,
+        *,
+        model: _common_pb2.ModelRef | None = ...,
+        goal_text: _builtins.str = ...,
+        rivals: _abc.Iterable[_builtins.str] | None = ...,
+        mode: Global___RewardRequest.Mode.ValueType | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_mode", b"_mode", "mode", b"mode", "model", b"model"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_mode", b"_mode", "goal_text", b"goal_text", "mode", b"mode", "model", b"model", "rivals", b"rivals"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__mode: _TypeAlias = _typing.Literal["mode"]  # noqa: Y015
+    _WhichOneofArgType__mode: _TypeAlias = _typing.Literal["_mode", b"_mode"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__mode) -> _WhichOneofReturnType__mode | None: ...
+
+Global___RewardHello: _TypeAlias = RewardHello  # noqa: Y015
+
+@_typing.final
+class RewardFrame(_message.Message):
+    """One moment, seen by every camera of the model."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    @_typing.final
+    class FramesEntry(_message.Message):
+        DESCRIPTOR: _descriptor.Descriptor
+
+        KEY_FIELD_NUMBER: _builtins.int
+        VALUE_FIELD_NUMBER: _builtins.int
+        key: _builtins.str
+        @_builtins.property
+        def value(self) -> _common_pb2.Tensor: ...
+        def __init__(
+            self,
+            *,
+            key: _builtins.str = ...,
+            value: _common_pb2.Tensor | None = ...,
+        ) -> None: ...
+        _HasFieldArgType: _TypeAlias = _typing.Literal["value", b"value"]  # noqa: Y015
+        def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+        _ClearFieldArgType: _TypeAlias = _typing.Literal["key", b"key", "value", b"value"]  # noqa: Y015
+        def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+        def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+    SEQ_FIELD_NUMBER: _builtins.int
+    FRAMES_FIELD_NUMBER: _builtins.int
+    IMAGES_FIELD_NUMBER: _builtins.int
+    seq: _builtins.int
+    """Sequence number; must increase, gaps are fine."""
+    @_builtins.property
+    def frames(self) -> _containers.MessageMap[_builtins.str, _common_pb2.Tensor]:
+        """By camera: UINT8 (H, W, C), C = 1 or 3, of any size that the stream keeps; other cameras than the model's are ignored.
+        Exactly one of `frames` and `images` is given.
+        """
+
+    @_builtins.property
+    def images(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Image]:
+        """Encoded images, one of each camera. `camera` may be empty when the model has a single camera."""
+
+    def __init__(
+        self,
+        *,
+        seq: _builtins.int = ...,
+        frames: _abc.Mapping[_builtins.str, _common_pb2.Tensor] | None = ...,
+        images: _abc.Iterable[_common_pb2.Image] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["frames", b"frames", "images", b"images", "seq", b"seq"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___RewardFrame: _TypeAlias = RewardFrame  # noqa: Y015
+
+@_typing.final
+class RewardStreamResponse(_message.Message):
+    """A message from a reward stream: exactly one of `opened`, `reward`, `error` and `draining`."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    SEQ_FIELD_NUMBER: _builtins.int
+    OPENED_FIELD_NUMBER: _builtins.int
+    REWARD_FIELD_NUMBER: _builtins.int
+    ERROR_FIELD_NUMBER: _builtins.int
+    DRAINING_FIELD_NUMBER: _builtins.int
+    seq: _builtins.int
+    """The `seq` that a reward or an error answers."""
+    @_builtins.property
+    def opened(self) -> Global___RewardStreamOpened:
+        """Answer to the Hello."""
+
+    @_builtins.property
+    def reward(self) -> Global___FrameReward:
+        """The reward of the frame."""
+
+    @_builtins.property
+    def error(self) -> _common_pb2.Error:
+        """Why a frame was rejected."""
+
+    @_builtins.property
+    def draining(self) -> _common_pb2.Draining:
+        """The service is stopping: open a stream to another replica."""
+
+    def __init__(
+        self,
+        *,
+        seq: _builtins.int = ...,
+        opened: Global___RewardStreamOpened | None = ...,
+        reward: Global___FrameReward | None = ...,
+        error: _common_pb2.Error | None = ...,
+        draining: _common_pb2.Draining | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["draining", b"draining", "error", b"error", "opened", b"opened", "reward", b"reward"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["draining", b"draining", "error", b"error", "opened", b"opened", "reward", b"reward", "seq", b"seq"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___RewardStreamResponse: _TypeAlias = RewardStreamResponse  # noqa: Y015
+
+@_typing.final
+class RewardStreamOpened(_message.Message):
+    """The model of a reward stream, and how it read the goal text."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    MODEL_FIELD_NUMBER: _builtins.int
+    CAMERAS_FIELD_NUMBER: _builtins.int
+    TEXTS_FIELD_NUMBER: _builtins.int
+    TRUNCATED_FIELD_NUMBER: _builtins.int
+    UNKNOWN_FIELD_NUMBER: _builtins.int
+    DID_YOU_MEAN_FIELD_NUMBER: _builtins.int
+    truncated: _builtins.bool
+    """As in RewardResponse."""
+    did_you_mean: _builtins.str
+    """As in RewardResponse."""
+    @_builtins.property
+    def model(self) -> _common_pb2.ModelRef:
+        """The model that answers."""
+
+    @_builtins.property
+    def cameras(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """Its cameras; one empty name for any image."""
+
+    @_builtins.property
+    def texts(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """As in RewardResponse."""
+
+    @_builtins.property
+    def unknown(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
+        """As in RewardResponse; where it is not empty, every reward of the mode binary is 0."""
+
+    def __init__(
+        self,
+        *,
+        model: _common_pb2.ModelRef | None = ...,
+        cameras: _abc.Iterable[_builtins.str] | None = ...,
+        texts: _abc.Iterable[_builtins.str] | None = ...,
+        truncated: _builtins.bool = ...,
+        unknown: _abc.Iterable[_builtins.str] | None = ...,
+        did_you_mean: _builtins.str = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["model", b"model"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["cameras", b"cameras", "did_you_mean", b"did_you_mean", "model", b"model", "texts", b"texts", "truncated", b"truncated", "unknown", b"unknown"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___RewardStreamOpened: _TypeAlias = RewardStreamOpened  # noqa: Y015
+
+@_typing.final
+class FrameReward(_message.Message):
+    """The reward of one frame."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    REWARD_FIELD_NUMBER: _builtins.int
+    SIMILARITY_FIELD_NUMBER: _builtins.int
+    WINNER_FIELD_NUMBER: _builtins.int
+    IN_DISTRIBUTION_FIELD_NUMBER: _builtins.int
+    TIMING_FIELD_NUMBER: _builtins.int
+    reward: _builtins.float
+    """In the mode of the Hello."""
+    similarity: _builtins.float
+    """As in RewardResponse."""
+    winner: _builtins.int
+    """As in RewardResponse, an index in `texts` of RewardStreamOpened."""
+    in_distribution: _builtins.float
+    """As in RewardResponse; unset for a grounding model."""
+    @_builtins.property
+    def timing(self) -> _common_pb2.Timing:
+        """Time spent in each stage."""
+
+    def __init__(
+        self,
+        *,
+        reward: _builtins.float = ...,
+        similarity: _builtins.float = ...,
+        winner: _builtins.int = ...,
+        in_distribution: _builtins.float | None = ...,
+        timing: _common_pb2.Timing | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_in_distribution", b"_in_distribution", "in_distribution", b"in_distribution", "timing", b"timing"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_in_distribution", b"_in_distribution", "in_distribution", b"in_distribution", "reward", b"reward", "similarity", b"similarity", "timing", b"timing", "winner", b"winner"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__in_distribution: _TypeAlias = _typing.Literal["in_distribution"]  # noqa: Y015
+    _WhichOneofArgType__in_distribution: _TypeAlias = _typing.Literal["_in_distribution", b"_in_distribution"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__in_distribution) -> _WhichOneofReturnType__in_distribution | None: ...
+
+Global___FrameReward: _TypeAlias = FrameReward  # noqa: Y015
+
+@_typing.final
 class GroundRequest(_message.Message):
     """An image and the phrases to locate in it."""
 

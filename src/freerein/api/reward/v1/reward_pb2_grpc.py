@@ -40,6 +40,11 @@ class RewardServiceStub(object):
                 request_serializer=freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardResponse.FromString,
                 _registered_method=True)
+        self.RewardStream = channel.stream_stream(
+                '/freerein.api.reward.v1.RewardService/RewardStream',
+                request_serializer=freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardStreamRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardStreamResponse.FromString,
+                _registered_method=True)
         self.Ground = channel.unary_unary(
                 '/freerein.api.reward.v1.RewardService/Ground',
                 request_serializer=freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.GroundRequest.SerializeToString,
@@ -63,6 +68,15 @@ class RewardServiceServicer(object):
 
     def Reward(self, request, context):
         """Returns the reward of each frame for a goal text.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def RewardStream(self, request_iterator, context):
+        """Returns the reward of each frame for one goal text, as the frames arrive: a Hello, then frame by frame, each answered
+        before the next is read by what `Reward` of that frame alone answers. An invalid frame is answered by an error, and
+        the stream continues.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -96,6 +110,11 @@ def add_RewardServiceServicer_to_server(servicer, server):
                     servicer.Reward,
                     request_deserializer=freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardRequest.FromString,
                     response_serializer=freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardResponse.SerializeToString,
+            ),
+            'RewardStream': grpc.stream_stream_rpc_method_handler(
+                    servicer.RewardStream,
+                    request_deserializer=freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardStreamRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardStreamResponse.SerializeToString,
             ),
             'Ground': grpc.unary_unary_rpc_method_handler(
                     servicer.Ground,
@@ -141,6 +160,33 @@ class RewardService(object):
             '/freerein.api.reward.v1.RewardService/Reward',
             freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardRequest.SerializeToString,
             freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def RewardStream(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_stream(
+            request_iterator,
+            target,
+            '/freerein.api.reward.v1.RewardService/RewardStream',
+            freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardStreamRequest.SerializeToString,
+            freerein_dot_api_dot_reward_dot_v1_dot_reward__pb2.RewardStreamResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -35,6 +35,11 @@ class RewardServiceStub:
     def __new__(cls, channel: _aio.Channel) -> RewardServiceAsyncStub: ...
     Reward: _grpc.UnaryUnaryMultiCallable[_reward_pb2.RewardRequest, _reward_pb2.RewardResponse]
     """Returns the reward of each frame for a goal text."""
+    RewardStream: _grpc.StreamStreamMultiCallable[_reward_pb2.RewardStreamRequest, _reward_pb2.RewardStreamResponse]
+    """Returns the reward of each frame for one goal text, as the frames arrive: a Hello, then frame by frame, each answered
+    before the next is read by what `Reward` of that frame alone answers. An invalid frame is answered by an error, and
+    the stream continues.
+    """
     Ground: _grpc.UnaryUnaryMultiCallable[_reward_pb2.GroundRequest, _reward_pb2.GroundResponse]
     """Locates noun phrases in one image."""
     Describe: _grpc.UnaryUnaryMultiCallable[_reward_pb2.DescribeRequest, _reward_pb2.DescribeResponse]
@@ -49,6 +54,11 @@ class RewardServiceAsyncStub(RewardServiceStub):
     def __init__(self, channel: _aio.Channel) -> None: ...
     Reward: _aio.UnaryUnaryMultiCallable[_reward_pb2.RewardRequest, _reward_pb2.RewardResponse]  # type: ignore[assignment]
     """Returns the reward of each frame for a goal text."""
+    RewardStream: _aio.StreamStreamMultiCallable[_reward_pb2.RewardStreamRequest, _reward_pb2.RewardStreamResponse]  # type: ignore[assignment]
+    """Returns the reward of each frame for one goal text, as the frames arrive: a Hello, then frame by frame, each answered
+    before the next is read by what `Reward` of that frame alone answers. An invalid frame is answered by an error, and
+    the stream continues.
+    """
     Ground: _aio.UnaryUnaryMultiCallable[_reward_pb2.GroundRequest, _reward_pb2.GroundResponse]  # type: ignore[assignment]
     """Locates noun phrases in one image."""
     Describe: _aio.UnaryUnaryMultiCallable[_reward_pb2.DescribeRequest, _reward_pb2.DescribeResponse]  # type: ignore[assignment]
@@ -66,6 +76,17 @@ class RewardServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_reward_pb2.RewardResponse, _abc.Awaitable[_reward_pb2.RewardResponse]]:
         """Returns the reward of each frame for a goal text."""
+
+    @_abc_1.abstractmethod
+    def RewardStream(
+        self,
+        request_iterator: _MaybeAsyncIterator[_reward_pb2.RewardStreamRequest],
+        context: _ServicerContext,
+    ) -> _typing.Union[_abc.Iterator[_reward_pb2.RewardStreamResponse], _abc.AsyncIterator[_reward_pb2.RewardStreamResponse]]:
+        """Returns the reward of each frame for one goal text, as the frames arrive: a Hello, then frame by frame, each answered
+        before the next is read by what `Reward` of that frame alone answers. An invalid frame is answered by an error, and
+        the stream continues.
+        """
 
     @_abc_1.abstractmethod
     def Ground(
