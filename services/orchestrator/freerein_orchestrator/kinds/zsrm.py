@@ -108,11 +108,12 @@ def pipeline_steps(config: ZsrmRunConfig, task: Task, scenes: str) -> list[dict[
         InvalidInput: The goal in words relates no two things.
     """
     name, text = config.shared_name, config.text or task.goal_text
-    camera = config.training(text).camera
+    training = config.training(text)
+    cameras = training.reward_cameras or training.cameras or (training.camera,) * bool(training.camera)
     phrases = list(dict.fromkeys([*_nouns(text), *config.phrases]))
     images = {"behaviour": "random", "count": config.count, "seed": config.seed}
-    if camera:
-        images["cameras"] = [camera]
+    if cameras:
+        images["cameras"] = list(cameras)
     policy = {**config.policy, "task": task.name, "goal_text": text, "reward_model": name}
     return [
         make_step("images", "collect", task=scenes, dataset=name, **images),
