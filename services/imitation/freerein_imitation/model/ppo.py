@@ -109,7 +109,7 @@ class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):
         return StepOutputs(chosen, never, state, torch.ones_like(never))
 
     def _observe(self, inputs: StepInputs, begun: Tensor, pixels: Tensor) -> Tensor:
-        """Returns observations as the network takes them, (B, ...), given whether there are earlier frames, and them."""
+        """Returns observations as the network takes them, (B, ...), of `begun` robots with earlier `pixels`."""
         network = self._network.actor_critic
         frames = torch.cat([inputs.frames[camera.name] for camera in self.spec.cameras], dim=-1)
         earlier = pixels.to(torch.uint8).view(len(frames), *network.spec.earlier_shape)

@@ -114,12 +114,12 @@ def pipeline_steps(config: ZsrmRunConfig, task: Task, scenes: str) -> list[dict[
     images = {"behaviour": "random", "count": config.count, "seed": config.seed}
     if cameras:
         images["cameras"] = list(cameras)
+    several = {"cameras": list(cameras)} if len(cameras) > 1 else {}  # a fit's own default is the first
+    fit = {**several, **config.fit, "phrases": phrases}
     policy = {**config.policy, "task": task.name, "goal_text": text, "reward_model": name}
     return [
         make_step("images", "collect", task=scenes, dataset=name, **images),
-        make_step(
-            "reward", "fit", service="reward", dataset=name, model_name=name, config={**config.fit, "phrases": phrases}
-        ),
+        make_step("reward", "fit", service="reward", dataset=name, model_name=name, config=fit),
         make_step("policy", "ppo", **{"seed": config.seed, **policy}),
     ]
 

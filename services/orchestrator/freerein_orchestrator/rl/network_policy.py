@@ -84,5 +84,5 @@ class _Memory:
         )
 
     def reset(self, starts: Tensor) -> "_Memory":
-        """Returns the memory without that of the episodes that ended; the network resets recurrent states and frames."""
+        """Returns the memory without that of the episodes that ended; the network resets recurrent state and frames."""
         return replace(self, actions=self.actions * ~starts[:, None], held=self.held * ~starts)
