@@ -6,7 +6,8 @@ import pytest
 
 from freerein.config import parse
 from freerein.errors import InvalidInput
-from freerein_orchestrator.kinds.ppo import PPORunConfig, session_request
+from freerein_orchestrator.kinds.ppo import session_request
+from freerein_orchestrator.kinds.ppo_config import PPORunConfig
 from freerein_orchestrator.rewards import REWARDS
 
 

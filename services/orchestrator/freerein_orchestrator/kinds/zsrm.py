@@ -29,7 +29,7 @@ from freerein_orchestrator.kinds.evaluate.record import RESULT
 from freerein_orchestrator.kinds.fit import check_steps
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.pipeline import Pipeline, make_step
-from freerein_orchestrator.kinds.ppo import PPORunConfig
+from freerein_orchestrator.kinds.ppo_config import PPORunConfig
 
 _SCENES = ".scatter"
 """What the name of a world's task ends in that shows its things in many places."""
