@@ -47,12 +47,16 @@ async def measure(effort: Effort) -> Results:
 def _model(cameras: tuple[str, ...]) -> CriterionModel:
     """Returns an untrained model; with one camera, that is the front and the tilted view."""
     tower = GroundingConfig()
-    sizes = {"image_size": synthetic_objects.IMAGE_SIZE, "width": tower.width, "depth": tower.depth}
-    grounding = GradCamModel(
-        DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=synthetic_objects.VOCABULARY, **sizes))
+    grounding = DualEncoderSpec(
+        cameras=("",),
+        vocabulary=synthetic_objects.VOCABULARY,
+        image_size=synthetic_objects.IMAGE_SIZE,
+        width=tower.width,
+        depth=tower.depth,
     )
     views = cameras if len(cameras) > 1 else (cameras[0], "", cameras[0])
     config = CriterionConfig(cameras=cameras, views=views, phrases=_PHRASES, object_widths=(_WIDTH,))
-    network = CriterionNetwork(network_spec(grounding, config, view_layout(cameras, views, config.object_widths, 1.0)))
+    layout = view_layout(cameras, views, config.object_widths, 1.0)
+    network = CriterionNetwork(network_spec(GradCamModel(DualEncoder(grounding)), config, layout))
     initialise(network)
     return CriterionModel(network)
