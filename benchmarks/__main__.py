@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from ctypes.util import find_library
 from pathlib import Path
 
-_BENCHMARKS = ("sim", "envs", "segment", "act", "control", "reward", "ppo")
+_BENCHMARKS = ("sim", "envs", "segment", "act", "control", "reward", "criteria", "ppo")
 
 _ENVIRON = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "0"}
 """Threads of BLAS and torch, and of Mesa, where 0 means the calling thread only, as in the sim service's workers."""

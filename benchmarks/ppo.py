@@ -169,7 +169,7 @@ class _Served:
 
     def train(self) -> str:
         retry = Retry(np.random.default_rng(), stop=lambda: False, tell=lambda _: None)
-        reward_fn = LearnedReward(self.reward, tasks()[_TASK].goal_text, _CAMERA).of_frames
+        reward_fn = LearnedReward(self.reward, tasks()[_TASK].goal_text).of_frames
         collector = RecoveringCollector(
             lambda snapshots: _open(self.config, self.sim, reward_fn, snapshots, self.action_repeat),
             num_steps=self.config.num_steps,
@@ -187,7 +187,7 @@ def _open(
 ) -> EnvGroups[RemoteVectorEnv]:
     request = CreateSessionRequest(_TASK, num_envs=config.num_envs, seed=0)
     return open_groups(
-        [sim], request, camera=_CAMERA, reward_fn=reward_fn, action_repeat=action_repeat, snapshots=snapshots
+        [sim], request, cameras=(_CAMERA,), reward_fn=reward_fn, action_repeat=action_repeat, snapshots=snapshots
     )
 
 

@@ -10,12 +10,13 @@ import pytest
 
 pytestmark = [pytest.mark.e2e, pytest.mark.long]
 ROOT = Path(__file__).parents[2]
-KINDS = {"sim", "envs", "segment", "reward", "act", "control", "ppo"}
+KINDS = {"sim", "envs", "segment", "reward", "criteria", "act", "control", "ppo"}
 PROMISED = {
     "act.control-bytes_adds_vs_bare_policy.64px",
     "act.control-bytes_adds_vs_bare_policy.224px",
     "control.p99_vs_bare.32x50hz",
     "reward.images32_vs_1.grpc",
+    "criteria.three_cameras_vs_one",
     "ppo.network_vs_in_process",
 }
 

@@ -30,6 +30,17 @@ def test_a_state_survives_its_encoding() -> None:
     assert decoded.recurrent.tobytes() == STATE.recurrent.tobytes()
 
 
+def test_pixels_of_earlier_frames_have_a_byte_each() -> None:
+    pixels = np.arange(256, dtype=np.float32)
+    state = PolicyState(np.concatenate([STATE.recurrent, pixels]))
+    encoded = encode_state(state, version=VERSION, goal_digest=GOAL, pixels=256)
+    assert len(encoded) == len(ENCODED) + 256
+    decoded = decode_state(encoded, version=VERSION, goal_digest=GOAL, goals=3, size=259, pixels=256)
+    assert decoded.recurrent.tobytes() == state.recurrent.tobytes()
+    with pytest.raises(InvalidInput):
+        decode_state(encoded[:-1], version=VERSION, goal_digest=GOAL, goals=3, size=259, pixels=256)
+
+
 def test_a_policy_whose_state_would_be_longer_than_64_kib_cannot_be_made() -> None:
     empty = encode_state(PolicyState(np.zeros(0, np.float32)), version=VERSION, goal_digest=GOAL)
     floats = (MAX_STATE_BYTES - len(empty)) // 4

@@ -28,6 +28,9 @@ from freerein_orchestrator.rl.visited_frames import fit_in_distribution
 RUN = "0" * 32
 SIZE = (12, 12, 3)
 FRAMES = np.random.default_rng(0).integers(256, size=(9, *SIZE), dtype=np.uint8)
+VIEWS = ((3, "left"), (0, "front"))
+"""In any order: the first channel of each camera, and its name."""
+
 GOAL = "a red block on top of a yellow block"
 CARD: dict[str, Any] = {
     "task": "blocks.red-on-top-of-yellow",
@@ -48,15 +51,17 @@ def make(**changes: Any) -> ActorCritic:
     weights.initialise(network, generator=torch.Generator().manual_seed(0))
     for parameter in network.actor.parameters():
         parameter.data *= 5  # the last layer's are small: actions would differ little
-    network.calibrate(torch.from_numpy(FRAMES))
+    shape = network.spec.observation_shape
+    network.calibrate(torch.from_numpy(np.resize(FRAMES, (len(FRAMES), *shape))))
     return network.eval()
 
 
-def leave(data_dir: Path, network: ActorCritic, **changes: Any) -> Path:
+def leave(data_dir: Path, network: ActorCritic, frames: Any = FRAMES, **changes: Any) -> Path:
     """Leaves what a finished run does; returns its folder."""
     artifacts = data_dir / "runs" / RUN / "artifacts"
     artifacts.mkdir(parents=True)
-    save_in_distribution(fit_in_distribution(torch.from_numpy(FRAMES)), artifacts)
+    score = fit_in_distribution(torch.from_numpy(frames), cameras=network.spec.cameras)
+    save_in_distribution(score, artifacts)
     save_policy(network, artifacts, card={**CARD, **changes})
     return artifacts
 
@@ -106,6 +111,29 @@ async def test_the_served_policy_acts_as_the_stored_one(
         state, executed = reply.state, reply.actions
         assert reply.goal_reached is None
         assert 0 <= reply.in_distribution <= 1
+
+
+@pytest.mark.parametrize(("repeat", "recurrent"), [(1, True), (2, False)])
+async def test_a_served_policy_keeps_earlier_frames_of_its_cameras_in_its_state(
+    served: Served, tmp_path: Path, repeat: int, recurrent: bool
+) -> None:
+    network = make(recurrent=recurrent, action_repeat=repeat, cameras=2, frame_stack=3, gray=True)
+    frames = np.concatenate([FRAMES, FRAMES[::-1]], axis=-1)
+    leave(tmp_path, network, frames, cameras=["front", "left"])
+    model, stored = await served.publish("stacking"), NetworkPolicy(network)
+    spec = await served.acts.get_spec(GetSpecRequest(model))
+    assert [(each.name, each.height, each.channels) for each in spec.cameras] == [("front", 12, 3), ("left", 12, 3)]
+    with pytest.raises(InvalidInput, match="each camera: front, left; got 1, none of left"):
+        await served.acts.act(ActRequest(seen(FRAMES[0]), Goal(text=GOAL), model=model))
+    state, executed = b"", None
+    for step, frame in enumerate(frames):
+        views = [Image("raw_rgb8", *SIZE[:2], frame[..., at : at + 3].tobytes(), name) for at, name in VIEWS]
+        reply = await served.acts.act(
+            ActRequest(Observation(tuple(views)), Goal(text=GOAL), executed, state, model=model)
+        )
+        np.testing.assert_allclose(reply.actions, stored.act(frame[None], np.array([step == 0])), atol=1e-6)
+        state, executed = reply.state, reply.actions
+    assert len(state) < 2 * 2 * 12 * 12 + 150  # of two earlier frames a byte per pixel
 
 
 async def test_an_action_is_held_for_as_many_control_steps_whatever_is_observed_of_them(

@@ -48,7 +48,7 @@ def test_other_cameras_or_actions_are_refused(spec: PolicyInterface) -> None:
 
 
 @pytest.mark.parametrize("cameras", [[], ["front"], "front"])
-def test_a_student_has_its_teachers_camera(cameras: object) -> None:
+def test_a_student_has_cameras_of_its_teachers(cameras: object) -> None:
     check_teachers([PolicyInterface((FRONT,), 2, 0)], student_cameras=cameras)
-    with pytest.raises(InvalidInput, match="its teachers' camera, wrist; got another"):
+    with pytest.raises(InvalidInput, match="cameras of its teachers, wrist; got another"):
         check_teachers([PolicyInterface((WRIST,), 2, 0)], student_cameras=cameras or "front")

@@ -185,6 +185,23 @@ def test_a_run_outlives_a_service_that_is_killed_and_ends_with_the_same_weights(
     assert sum(row["recoveries"] for row in run.rows) >= 1
 
 
+def test_a_run_of_stacked_frames_killed_and_its_sim_killed_ends_with_the_same_weights(
+    ppo: Callable[..., Any], services: dict[str, Any]
+) -> None:
+    seen = {"cameras": ["left", "tilt"], "reward_cameras": ["front"], "frame_stack": 3, "gray": True, "width": 48}
+    config = {"encoder": "spatial", "iterations": 3, "height": 48, **seen}
+    undisturbed, killed = ppo(**config), ppo(**config)
+    assert undisturbed.do()
+    killed.kill_when(lambda: bool(killed.rows))
+    assert killed.do(stop=Killer(services["sim"], killed))
+    card = undisturbed.artifact("policy.json")
+    assert killed.artifact("policy.json") == card
+    assert sum(row["recoveries"] for row in killed.rows) >= 1
+    assert (card["cameras"], [each["name"] for each in card["reward_cameras"]]) == (["left", "tilt"], ["front"])
+    network = load_policy(undisturbed.folder / "artifacts", device="cpu").network
+    assert network.spec.observation_shape == (48, 48, 6)
+
+
 def test_a_run_that_practises_outlives_a_sim_that_is_killed_and_ends_with_the_same_weights(
     ppo: Callable[..., Any], services: dict[str, Any]
 ) -> None:
@@ -223,6 +240,10 @@ def test_a_run_over_two_sims_resumes_over_two_only(ppo: Callable[..., Any], serv
     [
         ({"task": "blocks.fly"}, NotFound),
         ({"camera": "below"}, InvalidInput),
+        ({"cameras": ["front", "below"], "encoder": "spatial"}, InvalidInput),
+        ({"reward_cameras": ["below"]}, InvalidInput),
+        ({"reward_cameras": ["left"]}, InvalidInput),
+        ({"frame_stack": 8, "encoder": "spatial"}, InvalidInput),
         ({"goal_text": "a red block"}, InvalidInput),
         ({"goal_text": "a crimson block on top of a yellow block"}, InvalidInput),
         ({"init_from": "nothing"}, InvalidInput),

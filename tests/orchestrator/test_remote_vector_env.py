@@ -25,7 +25,7 @@ from freerein_orchestrator.rl.initial_network import network_spec
 from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
 from freerein_orchestrator.rl.state import PPOState, init_state
-from freerein_orchestrator.rl.vec_env import Frames, Rewards, VecStep
+from freerein_orchestrator.rl.vec_env import CameraFrames, Rewards, VecStep, moments
 
 pytestmark = pytest.mark.e2e
 zero_reward, oracle_reward = Reward().of_frames, OracleReward().of_frames
@@ -60,7 +60,7 @@ def open_envs(
     return RemoteVectorEnv(
         sims,
         request,
-        camera=CAMERA,
+        cameras=(CAMERA,),
         reward_fn=reward_fn,
         action_repeat=action_repeat,
         snapshots=snapshots,
@@ -74,7 +74,7 @@ def draw_actions(rng: np.random.Generator) -> Any:
 def test_the_frames_that_actions_led_to_are_rewarded_also_where_an_episode_ended(
     sim: SyncClient, reward: SyncClient
 ) -> None:
-    envs = open_envs(sim, reward_fn=LearnedReward(reward, GOAL, CAMERA).of_frames)
+    envs = open_envs(sim, reward_fn=LearnedReward(reward, GOAL).of_frames)
     envs.reset()
     rng, steps = np.random.default_rng(0), list[VecStep]()
     while not steps or not (steps[-1].terminated | steps[-1].truncated).any():
@@ -88,8 +88,8 @@ def test_the_frames_that_actions_led_to_are_rewarded_also_where_an_episode_ended
 
 
 def test_a_held_action_leads_where_single_ones_do_and_ends_with_its_episode(sim: SyncClient) -> None:
-    def count(frames: Frames, _oracle: Rewards | None) -> Rewards:
-        return np.ones(len(frames), np.float32)
+    def count(frames: CameraFrames, _oracle: Rewards | None) -> Rewards:
+        return np.ones(moments(frames), np.float32)
 
     single, held = (open_envs(sim, reward_fn=count, action_repeat=each, max_episode_steps=10) for each in (1, 3))
     np.testing.assert_array_equal(single.reset(), held.reset())
@@ -123,9 +123,9 @@ def test_episodes_are_truncated_also_after_sessions_were_restored(sim: SyncClien
 def test_the_same_frames_are_always_rewarded_together(sim: SyncClient) -> None:
     sizes: list[int] = []
 
-    def reward_fn(frames: Frames, _oracle: Rewards | None) -> Rewards:
-        sizes.append(len(frames))
-        return np.zeros(len(frames), np.float32)
+    def reward_fn(frames: CameraFrames, _oracle: Rewards | None) -> Rewards:
+        sizes.append(moments(frames))
+        return np.zeros(moments(frames), np.float32)
 
     envs = open_envs(sim, reward_fn=reward_fn)
     envs.reset()
@@ -141,9 +141,9 @@ def test_an_unprivileged_session_returns_frames_and_nothing_else(sim: SyncClient
     oracles: list[Rewards | None] = []
     replies: list[StepResponse] = []
 
-    def reward_fn(frames: Frames, oracle: Rewards | None) -> Rewards:
+    def reward_fn(frames: CameraFrames, oracle: Rewards | None) -> Rewards:
         oracles.append(oracle)
-        return LearnedReward(reward, GOAL, CAMERA).of_frames(frames, oracle)
+        return LearnedReward(reward, GOAL).of_frames(frames, oracle)
 
     class Overheard:
         """The service, overheard."""
@@ -222,7 +222,7 @@ def test_sessions_of_sims_that_hang_are_left_to_their_leases_at_once(
     wait_until(service.is_ready, 300)
     with SyncClient(SimClient(Channel(service.address))) as sim:
         request = CreateSessionRequest(TASK, num_envs=16, seed=3)
-        envs = RemoteVectorEnv([sim] * 16, request, camera=CAMERA, reward_fn=zero_reward)
+        envs = RemoteVectorEnv([sim] * 16, request, cameras=(CAMERA,), reward_fn=zero_reward)
         service.process.send_signal(signal.SIGSTOP)
         begun = time.monotonic()
         envs.close()
@@ -257,7 +257,7 @@ def test_a_learned_reward_outside_its_mode_is_rejected(mode: Mode, possible: lis
 
     def call(rewards: list[float]) -> Rewards:
         service: Any = Service(rewards)
-        return LearnedReward(service, GOAL, CAMERA, mode=mode).of_frames(np.zeros((3, 4, 4, 3), np.uint8))
+        return LearnedReward(service, GOAL, mode=mode).of_frames({CAMERA: np.zeros((3, 4, 4, 3), np.uint8)})
 
     np.testing.assert_array_equal(call(possible), np.array(possible, np.float32))
     with pytest.raises(IterationRejected, match=f"mode {mode} must be"):
@@ -266,20 +266,20 @@ def test_a_learned_reward_outside_its_mode_is_rejected(mode: Mode, possible: lis
 
 def test_the_reward_model_is_pinned_and_what_it_cannot_reward_refused_at_once(reward: SyncClient) -> None:
     camera = Camera(CAMERA, 64, 64, 3)
-    model = LearnedReward(reward, GOAL, CAMERA).resolve(camera).model
+    model = LearnedReward(reward, GOAL).resolve((camera,)).model
     assert len(model.version) == 12
-    assert LearnedReward(reward, GOAL, CAMERA, model).resolve(camera).model == model
-    one = LearnedReward(reward, GOAL, CAMERA, model).of_frames(np.zeros((1, 64, 64, 3), np.uint8))
+    assert LearnedReward(reward, GOAL, model).resolve((camera,)).model == model
+    one = LearnedReward(reward, GOAL, model).of_frames({CAMERA: np.zeros((1, 64, 64, 3), np.uint8)})
     assert one.shape == (1,)
     with pytest.raises(InvalidInput, match="rivals"):
-        LearnedReward(reward, "a red block", CAMERA).resolve(camera)
+        LearnedReward(reward, "a red block").resolve((camera,))
     with pytest.raises(InvalidInput, match="does not know crimson, amber"):
-        LearnedReward(reward, "the crimson block is on the amber one", CAMERA).resolve(camera)
+        LearnedReward(reward, "the crimson block is on the amber one").resolve((camera,))
     with pytest.raises(InvalidInput, match="does not know blok") as error:
-        LearnedReward(reward, GOAL.replace("block", "blok"), CAMERA).resolve(camera)
+        LearnedReward(reward, GOAL.replace("block", "blok")).resolve((camera,))
     assert error.value.hint == f"Did you mean: {GOAL}?"
     with pytest.raises(FailedPrecondition, match="active model"):
-        LearnedReward(reward, GOAL, CAMERA, ModelRef("another")).resolve(camera)
+        LearnedReward(reward, GOAL, ModelRef("another")).resolve((camera,))
 
 
 def init(envs: RemoteVectorEnv) -> PPOState:
@@ -287,7 +287,7 @@ def init(envs: RemoteVectorEnv) -> PPOState:
 
 
 def test_a_rollout_is_collected_in_another_session_to_the_same_bits(sim: SyncClient, reward: SyncClient) -> None:
-    reward_fn = LearnedReward(reward, GOAL, CAMERA).of_frames
+    reward_fn = LearnedReward(reward, GOAL).of_frames
     envs = open_envs(sim, reward_fn=reward_fn)
     state = init(envs)
 
@@ -319,7 +319,7 @@ def test_a_step_of_a_sim_that_hangs_can_be_interrupted(
 
     with SyncClient(SimClient(Channel(service.address))) as sim:
         request = CreateSessionRequest(TASK, num_envs=3, seed=3)
-        envs = RemoteVectorEnv([sim], request, camera=CAMERA, reward_fn=zero_reward, interrupt=interrupt)
+        envs = RemoteVectorEnv([sim], request, cameras=(CAMERA,), reward_fn=zero_reward, interrupt=interrupt)
         envs.reset()
         service.process.send_signal(signal.SIGSTOP)
         hangs.set()

@@ -6,7 +6,8 @@ import pytest
 
 from freerein.config import parse
 from freerein.errors import InvalidInput
-from freerein_orchestrator.kinds.ppo import PPORunConfig, session_request
+from freerein_orchestrator.kinds.ppo import session_request
+from freerein_orchestrator.kinds.ppo_config import PPORunConfig
 from freerein_orchestrator.rewards import REWARDS
 
 
@@ -30,9 +31,15 @@ def test_only_rewards_that_declare_themselves_privileged_get_privileged_state(na
         ({"reward": "curiosity"}, "config.encoder"),
         ({"reward": "shaping", "encoder": "spatial"}, "config.encoder"),
         ({"dataset": "won"}, "config.dataset"),
+        ({"frame_stack": 0}, "config.frame_stack"),
+        ({"frame_stack": 3}, "config.encoder"),
+        ({"cameras": ["front", "left"]}, "config.encoder"),
+        ({"cameras": ["front", "front"]}, "config.cameras"),
+        ({"camera": "front", "cameras": ["left"]}, "config.cameras"),
+        ({"reward": "curiosity", "encoder": "spatial", "reward_cameras": ["left"]}, "config.reward_cameras"),
     ],
 )
-def test_what_a_reward_does_not_take_is_refused(config: dict[str, str], field: str) -> None:
+def test_what_a_reward_does_not_take_is_refused(config: dict[str, object], field: str) -> None:
     with pytest.raises(InvalidInput) as refused:
         parse(PPORunConfig, {"task": "grid", **config})
     assert refused.value.field == field

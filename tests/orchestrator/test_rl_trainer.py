@@ -170,8 +170,9 @@ class _Spoilt:
         return self._spoil(self._envs.rewards())
 
 
-def dot_state(config: PPOConfig, envs: VecEnv | None = None) -> PPOState:
-    return init_state(config, network_spec(config, observation=FRAME), envs or DotEnvs(), device=CPU)
+def dot_state(config: PPOConfig, envs: VecEnv | None = None, *, frame_stack: int = 1) -> PPOState:
+    spec = network_spec(config, observation=FRAME, frame_stack=frame_stack)
+    return init_state(config, spec, envs or DotEnvs(), device=CPU)
 
 
 def train(
@@ -182,12 +183,17 @@ def train(
     interrupt: Callable[[], None] = lambda: None,
     log: list[str] | None = None,
     finished: PPOState | None = None,
+    frame_stack: int = 1,
 ) -> PPOState:
     """Trains on the dots, or resumes; goes on with a finished training if there is one."""
     collector = LocalCollector(DotEnvs(seed=99), config, spoil)
     return Trainer(
         folder,
-        init=lambda: trained_on(to_checkpoint(finished), config, device=CPU) if finished else dot_state(config),
+        init=lambda: (
+            trained_on(to_checkpoint(finished), config, device=CPU)
+            if finished
+            else dot_state(config, frame_stack=frame_stack)
+        ),
         load=lambda checkpoint: from_checkpoint(checkpoint, config, device=CPU),
         collector=lambda _: collector,
         metrics_log=lambda last_step: MetricsLogger(folder, last_step=last_step),
@@ -245,7 +251,8 @@ def test_a_recurrent_policy_alone_learns_to_remember(
     assert least <= np.mean([row["episode_return"] for row in rows(tmp_path)[-3:]]) <= most
 
 
-def test_a_training_resumed_from_any_checkpoint_ends_with_the_same_bits(tmp_path: Path) -> None:
+@pytest.mark.parametrize("frame_stack", [1, 3])
+def test_a_training_resumed_from_any_checkpoint_ends_with_the_same_bits(tmp_path: Path, frame_stack: int) -> None:
     config, state = replace(SHORT, recurrent=True), None
     for iteration in range(3):
 
@@ -254,9 +261,9 @@ def test_a_training_resumed_from_any_checkpoint_ends_with_the_same_bits(tmp_path
                 raise Stopped
 
         with pytest.raises(Stopped):
-            train(tmp_path, config, interrupt=stop)
+            train(tmp_path, config, interrupt=stop, frame_stack=frame_stack)
     state = train(tmp_path, config)
-    assert digest(state) == digest(train(tmp_path / "undisturbed", config))
+    assert digest(state) == digest(train(tmp_path / "undisturbed", config, frame_stack=frame_stack))
     assert digest(train(tmp_path, config)) == digest(state)
 
 
@@ -395,7 +402,7 @@ def test_a_training_that_goes_on_is_stopped_anywhere_and_ends_with_the_same_bits
     assert digest(train(tmp_path, finished=finished)) == expected
 
 
-def test_a_checkpoint_of_a_version_without_schedules_is_resumed(tmp_path: Path, expected: str) -> None:
+def test_a_checkpoint_of_a_version_without_schedules_or_stacks_is_resumed(tmp_path: Path, expected: str) -> None:
     def stop() -> None:
         if (tmp_path / "metrics.jsonl").is_file() and len(rows(tmp_path)) == 2:
             raise Stopped
@@ -404,6 +411,8 @@ def test_a_checkpoint_of_a_version_without_schedules_is_resumed(tmp_path: Path, 
         train(tmp_path, interrupt=stop)
     saved = checkpoints.newest(tmp_path / "checkpoints", on_corrupt=lambda *_: None)
     assert saved is not None
-    earlier = {name: value for name, value in saved.document.items() if name != "schedule"}
+    earlier = json.loads(json.dumps({name: value for name, value in saved.document.items() if name != "schedule"}))
+    for key in ("cameras", "frame_stack", "gray"):
+        del earlier["identity"]["network"][key]
     checkpoints.save(tmp_path / "checkpoints", replace(saved, document=earlier))
     assert digest(train(tmp_path)) == expected

@@ -40,14 +40,14 @@ def data_dir(tmp_path: Path) -> Path:
 
 def reward(data_dir: Path, dataset: str = "won", camera: Camera = CAMERA) -> ViceReward:
     service: Any = None  # it needs none
-    return ViceReward(RewardSetting(PPOConfig(), "", camera, ModelRef(), service, data_dir, dataset))
+    return ViceReward(RewardSetting(PPOConfig(), "", (camera,), ModelRef(), service, data_dir, dataset))
 
 
 def test_frames_like_the_last_ones_of_the_dataset_earn_1_and_others_0(data_dir: Path) -> None:
     trained, restored, rng = reward(data_dir), reward(data_dir), np.random.default_rng(1)
     trained.begin()
     new = np.concatenate([frames(rng, won=won) for won in (True, False)])
-    assert trained.of_frames(new).tolist() == [0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
+    assert trained.of_frames({CAMERA.name: new}).tolist() == [0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
     restored.restore(trained.snapshot())
     ours, theirs = trained.snapshot().tensors, restored.snapshot().tensors
     assert all(torch.equal(ours[name], theirs[name]) for name in ours)

@@ -47,8 +47,11 @@ async def parse_frames(spec: PolicySpec, observation: Observation, resizer: Resi
     """
     field, given = "observation.images", observation.images
     if len(given) != len(spec.cameras):
+        named = {image.camera for image in given}
+        missing = [camera.name for camera in spec.cameras if camera.name not in named]
+        without = f", none of {', '.join(missing)}" if missing else ""
         raise InvalidInput(
-            f"`{field}` must hold one image of each camera: {_names(spec)}; got {len(given)}.",
+            f"`{field}` must hold one image of each camera: {_names(spec)}; got {len(given)}{without}.",
             field=field,
             hint=_CAMERAS_HINT,
         )

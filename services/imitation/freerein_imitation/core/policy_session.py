@@ -31,11 +31,18 @@ class PolicySession:
 
     def __init__(self, context: ActContext, *, state: bytes = b"") -> None:
         self._context = context
-        version, size = context.model.version, context.policy.spec.recurrent_size
+        version, spec = context.model.version, context.policy.spec
         self._state = (
-            decode_state(state, version=version, goal_digest=context.digest, goals=len(context.goals), size=size)
+            decode_state(
+                state,
+                version=version,
+                goal_digest=context.digest,
+                goals=len(context.goals),
+                size=spec.recurrent_size,
+                pixels=spec.recurrent_pixels,
+            )
             if state
-            else PolicyState(np.zeros(size, np.float32))
+            else PolicyState(np.zeros(spec.recurrent_size, np.float32))
         )
         self._has_state = bool(state)
         self._resized = False
@@ -44,7 +51,8 @@ class PolicySession:
     @property
     def state(self) -> bytes:
         """The policy state as an API `state`."""
-        return encode_state(self._state, version=self._context.model.version, goal_digest=self._context.digest)
+        context, pixels = self._context, self._context.policy.spec.recurrent_pixels
+        return encode_state(self._state, version=context.model.version, goal_digest=context.digest, pixels=pixels)
 
     async def parse(
         self, observation: Observation, executed: npt.NDArray[Any] | None, *, elapsed: int

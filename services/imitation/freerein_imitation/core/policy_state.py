@@ -2,7 +2,11 @@
 
 Callers may change a `state`, so it is read as untrusted. It is bound to the model version and the goal:
 
-    magic 4 | version 6 | goal digest 16 | goal index u32 | goal steps u32 | abandoned u8 | recurrent state R x f32
+    magic 4 | version 6 | goal digest 16 | goal index u32 | goal steps u32 | abandoned u8 | recurrent state
+
+The last P of the R numbers of a recurrent state may be pixels, whole numbers of 0 to 255, which have a byte each:
+
+    recurrent state = (R - P) x f32 | P x u8
 """
 
 import struct
@@ -35,20 +39,24 @@ class PolicyState:
     abandoned: bool = False
 
 
-def encode_state(state: PolicyState, *, version: str, goal_digest: bytes) -> bytes:
+def encode_state(state: PolicyState, *, version: str, goal_digest: bytes, pixels: int = 0) -> bytes:
     """Returns a policy state as bytes.
 
     Args:
         state: Policy state.
         version: Model version, 12 hexadecimal digits.
         goal_digest: Digest of the whole goal.
+        pixels: P, how many of the last numbers of the recurrent state are pixels.
     """
     progress = (state.goal_index, state.goal_steps, state.abandoned)
     header = _HEADER.pack(_MAGIC, bytes.fromhex(version), goal_digest, *progress)
-    return header + state.recurrent.astype("<f4", copy=False).tobytes()
+    numbers, remembered = np.split(state.recurrent, [len(state.recurrent) - pixels])
+    return header + numbers.astype("<f4", copy=False).tobytes() + remembered.astype(np.uint8).tobytes()
 
 
-def decode_state(data: bytes, *, version: str, goal_digest: bytes, goals: int, size: int) -> PolicyState:
+def decode_state(
+    data: bytes, *, version: str, goal_digest: bytes, goals: int, size: int, pixels: int = 0
+) -> PolicyState:
     """Returns the policy state in bytes that `encode_state` should have returned.
 
     Args:
@@ -57,6 +65,7 @@ def decode_state(data: bytes, *, version: str, goal_digest: bytes, goals: int, s
         goal_digest: Digest of the whole goal.
         goals: Number of goals.
         size: R, numbers of the model's recurrent state.
+        pixels: P, how many of the last of them are pixels.
 
     Raises:
         InvalidInput: The bytes are malformed.
@@ -77,11 +86,15 @@ def decode_state(data: bytes, *, version: str, goal_digest: bytes, goals: int, s
             field="state",
             hint="Send the whole goal unchanged in every call, or start the new goal without a state.",
         )
-    if len(data) != _HEADER.size + 4 * size or goal_index > goals or abandoned > 1:
+    numbers = size - pixels
+    if len(data) != _HEADER.size + 4 * numbers + pixels or goal_index > goals or abandoned > 1:
         raise _malformed()
-    recurrent = np.frombuffer(data, "<f4", offset=_HEADER.size)
+    recurrent = np.frombuffer(data, "<f4", numbers, offset=_HEADER.size)
     if not np.isfinite(recurrent).all():
         raise _malformed()
+    if pixels:
+        remembered = np.frombuffer(data, np.uint8, offset=_HEADER.size + 4 * numbers)
+        recurrent = np.concatenate([recurrent, remembered.astype(np.float32)])
     return PolicyState(recurrent, goal_index, goal_steps, bool(abandoned))
 
 

@@ -79,7 +79,7 @@ def _spec(policy: policy_files.StoredPolicy) -> tuple[ppo.PPOPolicySpec, Control
     card: Mapping[str, Any] = policy.card
     network = policy.network.spec
     try:
-        action, camera, task = parse(ActionSpec, card["action"]), str(card["camera"]), str(card["task"])
+        action, cameras, task = parse(ActionSpec, card["action"]), policy.cameras, str(card["task"])
         control = ControlSpec(float(card["control_dt_s"]), NEVER_REACHED, int(card["max_episode_steps"]))
     except (KeyError, TypeError, ValueError, InvalidInput) as error:
         raise FailedPrecondition(
@@ -89,7 +89,7 @@ def _spec(policy: policy_files.StoredPolicy) -> tuple[ppo.PPOPolicySpec, Control
         ) from error
     return (
         ppo.PPOPolicySpec(
-            cameras=(Camera(camera, network.height, network.width, network.channels),),
+            cameras=tuple(Camera(name, network.height, network.width, network.channels) for name in cameras),
             action=action,
             network=network,
             goal_text=str(card.get("goal_text") or task),

@@ -89,6 +89,8 @@ class PolicySpec(ControlSpec):
         training_texts: Texts that it was fitted to, where it follows others, too; empty where that is unknown.
         robot_state_size: S, numbers of the robot's own state; 0 for a policy that takes none.
         recurrent_size: R, numbers of recurrent state.
+        recurrent_pixels: How many of the last of them are pixels of earlier frames, whole numbers of 0 to 255; `state`
+            has a byte for each.
         predicts_reached: Whether it predicts that a goal is reached.
     """
 
@@ -101,6 +103,7 @@ class PolicySpec(ControlSpec):
     training_texts: tuple[str, ...] = ()
     robot_state_size: int = 0
     recurrent_size: int = 0
+    recurrent_pixels: int = 0
     predicts_reached: bool = True
 
     def __post_init__(self) -> None:

@@ -1,5 +1,6 @@
 """Policies of ppo runs, as they were trained: one goal each, given by its text."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,14 +21,14 @@ METHOD = "ppo"
 
 @dataclass(frozen=True, kw_only=True)
 class PPOPolicySpec(InputSpec):
-    """Camera, actions and network of a policy.
+    """Cameras, actions and network of a policy.
 
     Attributes:
         network: The network that was trained.
         goal_text: The goal that it was trained for.
 
     Raises:
-        InvalidInput: The network is not of one camera and of these actions.
+        InvalidInput: The network is not of these cameras and actions.
     """
 
     network: ActorCriticSpec
@@ -37,8 +38,8 @@ class PPOPolicySpec(InputSpec):
         super().__post_init__()
         network, shapes = self.network, [(each.height, each.width, each.channels) for each in self.cameras]
         actions = (network.action_size, network.action_choices)
-        if network.vector_size or shapes != [network.observation_shape]:
-            raise InvalidInput("The network of a ppo policy must see one camera's frames; this one does not.")
+        if network.vector_size or shapes != [(network.height, network.width, network.channels)] * network.cameras:
+            raise InvalidInput("The network of a ppo policy must see the frames of its cameras; this one does not.")
         if actions != (self.action.size, self.action.choices):
             raise InvalidInput("The network of a ppo policy must have the actions of its task; this one has others.")
 
@@ -58,18 +59,21 @@ class PPOPolicyNetwork(PolicyNetwork):
 class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):
     """Takes the most likely action, and holds it for as many control steps as in training.
 
-    Its recurrent state is that of the LSTM, the action that is held, and for how many control steps it has been.
+    Its recurrent state is that of the LSTM, the action that is held, and for how many control steps it has been. With a
+    stack of frames, whether there are earlier frames follows, and their pixels.
     """
 
     def __init__(self, network: PPOPolicyNetwork, control: ControlSpec) -> None:
         spec = network.spec
-        size = spec.network.recurrent_size + spec.action.size + 1
+        pixels = math.prod(spec.network.earlier_shape)
+        self._parts = [spec.network.recurrent_size, spec.action.size, 1, int(pixels > 0), pixels]
         super().__init__(
             network,
             control,
             goal_form="text",
             goal_texts=(spec.goal_text,),
-            recurrent_size=size,
+            recurrent_size=sum(self._parts),
+            recurrent_pixels=pixels,
             predicts_reached=False,
         )
 
@@ -82,27 +86,39 @@ class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):
 
         The action was held meanwhile. Where that was as long as in training, or longer, the next one is due.
         """
-        held, repeat = recurrent[:, -1:], self._network.spec.network.action_repeat
-        later = np.where(held == 0, held, np.minimum(held + steps[:, None], repeat) % repeat)
-        return np.concatenate([recurrent[:, :-1], later.astype(np.float32)], axis=1)
+        later, at, repeat = recurrent.copy(), sum(self._parts[:2]), self._network.spec.network.action_repeat
+        held = recurrent[:, at]
+        later[:, at] = np.where(held == 0, held, np.minimum(held + steps, repeat) % repeat)
+        return later
 
     def _step(self, inputs: StepInputs) -> StepOutputs:
         spec = self._network.spec
-        sizes = [spec.network.recurrent_size, spec.action.size, 1]
-        memory, holding, held = torch.split(inputs.recurrent, sizes, dim=1)  # (B, R), (B, A), (B, 1)
-        actions, after = self._choose(next(iter(inputs.frames.values())), inputs.previous, memory)
+        memory, holding, held, begun, pixels = torch.split(inputs.recurrent, self._parts, dim=1)  # (B, ...) each
+        observed = self._observe(inputs, begun, pixels)
+        actions, after = self._choose(observed, memory)
+        seen = self._network.actor_critic.earlier_frames(observed).flatten(start_dim=1)
         is_due = held == 0  # (B, 1)
-        actions, after = torch.where(is_due, actions, holding), torch.where(is_due, after, memory)
-        state = torch.cat([after, actions, (held + 1) % spec.network.action_repeat], dim=1)
+        actions, after, seen = (
+            torch.where(is_due, new, old) for new, old in ((actions, holding), (after, memory), (seen, pixels))
+        )
+        state = torch.cat(
+            [after, actions, (held + 1) % spec.network.action_repeat, torch.ones_like(begun), seen], dim=1
+        )
         chosen = actions[:, None].to(torch.int64 if spec.action.choices else torch.float32)
         never = torch.zeros(len(actions), device=self._device)
         return StepOutputs(chosen, never, state, torch.ones_like(never))
 
-    def _choose(self, frames: Tensor, previous: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+    def _observe(self, inputs: StepInputs, begun: Tensor, pixels: Tensor) -> Tensor:
+        """Returns observations as the network takes them, (B, ...), of `begun` robots with earlier `pixels`."""
+        network = self._network.actor_critic
+        frames = torch.cat([inputs.frames[camera.name] for camera in self.spec.cameras], dim=-1)
+        earlier = pixels.to(torch.uint8).view(len(frames), *network.spec.earlier_shape)
+        return network.observe(frames, inputs.previous.cpu(), earlier, (begun == 0).any(dim=1)).to(self._device)
+
+    def _choose(self, observed: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the most likely actions, float32 (B, A), and the LSTM's state after them, float32 (B, R)."""
         network = self._network.actor_critic
-        observed = network.observe(frames, previous.cpu()).to(self._device)
-        no_starts = torch.zeros(1, len(frames), dtype=torch.bool, device=self._device)  # zeros are a start, too
+        no_starts = torch.zeros(1, len(observed), dtype=torch.bool, device=self._device)  # zeros are a start, too
         outputs = network(observed[None], no_starts, memory)
         return outputs.actions.mode()[0].float().clamp(*self.spec.action.bounds), outputs.recurrent_state
 

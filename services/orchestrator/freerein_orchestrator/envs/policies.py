@@ -19,7 +19,7 @@ from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest
 from freerein.types.sim import ExpertActionsRequest, Recipe, Task
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_task
 from freerein_orchestrator.rl.network_policy import NetworkPolicy
-from freerein_orchestrator.rl.vec_env import Actions, Frames
+from freerein_orchestrator.rl.vec_env import Actions, Frames, join_cameras
 
 _MAX_THREADS = 64
 """Calls at once: the most environments that a session may have."""
@@ -95,16 +95,15 @@ def stored_policy(policy: StoredPolicy, task: Task, *, stochastic: bool, model: 
     """
     spec = PolicyInterface.of_stored(policy)
     check_task(spec, task)
-    (camera,) = spec.cameras
 
     def start(session: PolicySession) -> BatchPolicy:
         generator = torch.Generator().manual_seed(session.seed) if stochastic else None
-        return _StoredPolicy(NetworkPolicy(policy.network, generator=generator), camera.name)
+        return _StoredPolicy(NetworkPolicy(policy.network, generator=generator), policy.cameras)
 
     description: dict[str, Any] = {"policy": "ppo", "sha256": policy.card["sha256"], "stochastic": stochastic}
     if model is not None:
         description["model"] = asdict(model)
-    return PolicyHandle(start, description, (camera.name,), camera.height, camera.width)
+    return PolicyHandle(start, description, policy.cameras, spec.cameras[0].height, spec.cameras[0].width)
 
 
 def served_policy(
@@ -166,10 +165,10 @@ class _StoredPolicy:
     """Acts with a network."""
 
     network: NetworkPolicy
-    camera: str
+    cameras: tuple[str, ...]
 
     def act(self, frames: Mapping[str, Frames], episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
-        return PolicyOutput(self.network.act(frames[self.camera], episode_starts))
+        return PolicyOutput(self.network.act(join_cameras(frames, self.cameras), episode_starts))
 
 
 class _ExpertPolicy:

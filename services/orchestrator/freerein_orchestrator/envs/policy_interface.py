@@ -29,8 +29,9 @@ class PolicyInterface:
     @classmethod
     def of_stored(cls, policy: StoredPolicy) -> "PolicyInterface":
         """Returns the interface of a policy of a ppo run."""
-        spec, camera = policy.network.spec, str(policy.card["camera"])
-        return cls((Camera(camera, spec.height, spec.width, spec.channels),), spec.action_size, spec.action_choices)
+        spec = policy.network.spec
+        cameras = [Camera(name, spec.height, spec.width, spec.channels) for name in policy.cameras]
+        return cls(tuple(cameras), spec.action_size, spec.action_choices)
 
     @classmethod
     def of_served(cls, spec: GetSpecResponse) -> "PolicyInterface":
@@ -63,11 +64,12 @@ class PolicyInterface:
 
 
 def check_teachers(specs: Sequence[PolicyInterface], *, student_cameras: object) -> None:
-    """Checks that teachers have the same spec, and their student the same camera.
+    """Checks that teachers have the same spec, and their student the same cameras.
 
     Args:
         specs: Of each teacher, at least one.
-        student_cameras: `cameras` of the student's configuration, a list or one name; an empty list for the teachers'.
+        student_cameras: `cameras` of the student's configuration, a list or one name; an empty list for the first of
+            the teachers'.
 
     Raises:
         InvalidInput: They differ.
@@ -79,12 +81,13 @@ def check_teachers(specs: Sequence[PolicyInterface], *, student_cameras: object)
             field=_FIELD,
             hint="Distill those that differ separately, or train them on frames of one size.",
         )
-    (camera,) = specs[0].cameras
-    if student_cameras not in ([], camera.name, [camera.name]):
+    names = [camera.name for camera in specs[0].cameras]
+    chosen = [student_cameras] if isinstance(student_cameras, str) else student_cameras
+    if not isinstance(chosen, list | tuple) or not set(chosen) <= set(names):
         raise InvalidInput(
-            f"A student must have its teachers' camera, {camera.name}; got another.",
+            f"A student must have cameras of its teachers, {', '.join(names)}; got another.",
             field="config.config.cameras",
-            hint="Leave it out.",
+            hint="Leave it out for the first.",
         )
 
 

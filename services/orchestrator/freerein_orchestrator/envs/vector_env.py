@@ -27,11 +27,11 @@ from freerein.types.sim import (
 from freerein_orchestrator.envs.practice import Start
 from freerein_orchestrator.rl.env_groups import EnvGroups
 from freerein_orchestrator.rl.errors import IterationRejected
-from freerein_orchestrator.rl.vec_env import Actions, Frames, Rewards, VecStep
+from freerein_orchestrator.rl.vec_env import Actions, CameraFrames, Frames, Rewards, VecStep, join_cameras, moments
 
 T = TypeVar("T")
 
-RewardFn: TypeAlias = Callable[[Frames, Rewards | None], Rewards]
+RewardFn: TypeAlias = Callable[[CameraFrames, Rewards | None], Rewards]
 """As `Reward.of_frames`."""
 
 LEASE_S = 1800.0  # on a busy machine an eye is fitted for minutes between two calls
@@ -44,8 +44,9 @@ def open_groups(
     sims: Sequence[SyncClient],
     request: CreateSessionRequest,
     *,
-    camera: str,
+    cameras: Sequence[str],
     reward_fn: RewardFn,
+    reward_cameras: Sequence[str] = (),
     action_repeat: int = 1,
     snapshots: Sequence[bytes] = (),
     interrupt: Callable[[], None] = lambda: None,
@@ -62,8 +63,9 @@ def open_groups(
             group = RemoteVectorEnv(
                 sims,
                 own,
-                camera=camera,
+                cameras=cameras,
                 reward_fn=reward_fn,
+                reward_cameras=reward_cameras,
                 action_repeat=action_repeat,
                 snapshots=snapshots[index * per_group :][: min(per_group, len(sims))],
                 interrupt=interrupt,
@@ -80,15 +82,16 @@ def envs_per_sim(num_envs: int, sims: int) -> tuple[int, ...]:
 
 
 class RemoteVectorEnv:
-    """N environments in one session per sim service, seen by one camera.
+    """N environments in one session per sim service. Observations are the frames of all cameras, on the channels.
 
     A session is lost with the process that hosts it; open others from the last snapshots.
 
     Args:
         sims: Clients of the sim services, at most N; each hosts its share, with a seed of its own.
         request: The session, as if it were one.
-        camera: The camera that is observed.
+        cameras: The cameras that are observed, at least one, with frames of one height and width.
         reward_fn: Rewards frames; called on a thread of its own.
+        reward_cameras: The cameras whose frames it is given; empty for those that are observed.
         action_repeat: Timesteps that each action is held for, or until the episode ends; the last is seen and rewarded.
         snapshots: One per sim service, to restore; empty for new episodes.
         interrupt: Called before each step and while waiting; raises to stop.
@@ -102,8 +105,9 @@ class RemoteVectorEnv:
         sims: Sequence[SyncClient],
         request: CreateSessionRequest,
         *,
-        camera: str,
+        cameras: Sequence[str],
         reward_fn: RewardFn,
+        reward_cameras: Sequence[str] = (),
         action_repeat: int = 1,
         snapshots: Sequence[bytes] = (),
         interrupt: Callable[[], None] = lambda: None,
@@ -122,7 +126,7 @@ class RemoteVectorEnv:
         with ExitStack() as on_error:
             on_error.callback(self.close)
             for index, (sim, own) in enumerate(zip(sims, _split_request(request, shares), strict=True)):
-                session = _Session(sim, own, camera, action_repeat)
+                session = _Session(sim, own, cameras, reward_cameras or cameras, action_repeat)
                 self._sessions.append(session)
                 if snapshots:
                     session.restore(snapshots[index])
@@ -142,14 +146,14 @@ class RemoteVectorEnv:
             for session, share in zip(self._sessions, shares, strict=True)
         ]
         parts = [session.stepped(reply) for session, reply in zip(self._sessions, self._results(calls), strict=True)]
-        final = np.concatenate([part.final_frames for part in parts])
         oracles = [part.oracle for part in parts if part.oracle is not None]
-        self._rewards.add(final, np.concatenate(oracles) if oracles else None)
+        rewarded = _by_camera([part.rewarded for part in parts])
+        self._rewards.add(rewarded, np.concatenate(oracles) if oracles else None)
         return VecStep(
             observations=np.concatenate([part.frames for part in parts]),
             terminated=np.concatenate([part.terminated for part in parts]),
             truncated=np.concatenate([part.truncated for part in parts]),
-            final_observations=final,
+            final_observations=np.concatenate([part.final_frames for part in parts]),
         )
 
     def rewards(self) -> Rewards:
@@ -204,10 +208,17 @@ def _split_request(request: CreateSessionRequest, shares: Sequence[int]) -> list
 
 @dataclass(frozen=True, eq=False)
 class _SessionStep:
-    """One step of one session; `final_frames` are `frames`, but the last of the old episode where one ended."""
+    """One step of one session.
+
+    Attributes:
+        frames: Those that are observed, uint8 (N, H, W, C).
+        final_frames: The same, but the last of the old episode where one ended.
+        rewarded: Likewise, of the reward's cameras.
+    """
 
     frames: Frames
     final_frames: Frames
+    rewarded: CameraFrames
     terminated: npt.NDArray[np.bool_]
     truncated: npt.NDArray[np.bool_]
     oracle: Rewards | None
@@ -216,11 +227,19 @@ class _SessionStep:
 class _Session:
     """A session on one sim service."""
 
-    def __init__(self, sim: SyncClient, request: CreateSessionRequest, camera: str, action_repeat: int) -> None:
+    def __init__(
+        self,
+        sim: SyncClient,
+        request: CreateSessionRequest,
+        cameras: Sequence[str],
+        reward_cameras: Sequence[str],
+        action_repeat: int,
+    ) -> None:
         self.sim = sim
         self._session: str = sim.create_session(request).session
         self.envs = range(request.num_envs)
-        self._camera = camera
+        self._cameras, self._reward_cameras = tuple(cameras), tuple(reward_cameras)
+        self._rendered = tuple(dict.fromkeys((*cameras, *reward_cameras)))
         self._action_repeat = action_repeat
         self._steps = 0
 
@@ -232,31 +251,46 @@ class _Session:
         for snapshot in dict.fromkeys(start.snapshot for start in starts.values()):
             chosen = {env: start.env for env, start in starts.items() if start.snapshot == snapshot}
             self.sim.restore(RestoreRequest(self._session, snapshot, tuple(chosen), tuple(chosen.values())))
-        return self.sim.render(RenderRequest(self._session, (self._camera,))).frames[self._camera]
+        return self._observed(self.sim.render(RenderRequest(self._session, self._cameras)).frames)
 
     def reset(self) -> Frames:
-        frames = self.sim.reset(ResetRequest(self._session, cameras=(self._camera,))).frames
-        return frames[self._camera]
+        return self._observed(self.sim.reset(ResetRequest(self._session, cameras=self._cameras)).frames)
 
     def step_request(self, actions: Actions) -> StepRequest:
-        cameras, repeat = (self._camera,), self._action_repeat
+        cameras, repeat = self._rendered, self._action_repeat
         return StepRequest(self._session, self._steps + 1, actions, cameras=cameras, action_repeat=repeat)
 
     def stepped(self, reply: StepResponse) -> _SessionStep:
         """Returns a step, given the reply to its request. Raises IterationRejected where that is malformed."""
         self._steps += 1
-        frames = reply.frames.get(self._camera)
+        final = {camera: self._final(reply, camera) for camera in self._rendered}
+        return _SessionStep(
+            self._observed(reply.frames),
+            self._observed(final),
+            {camera: final[camera] for camera in self._reward_cameras},
+            reply.terminated,
+            reply.truncated,
+            None if reply.truth is None else reply.truth.reward,
+        )
+
+    def _final(self, reply: StepResponse, camera: str) -> Frames:
+        """Returns the frames that a step led to: the last of the old episode where one ended."""
+        frames = reply.frames.get(camera)
         if frames is None or {len(frames), len(reply.terminated), len(reply.truncated)} != {len(self.envs)}:
             raise _malformed()
-        done, final = reply.terminated | reply.truncated, frames
-        if done.any():
-            last = reply.final_frames.get(self._camera)
-            if last is None or last.shape != (done.sum(), *frames.shape[1:]):
-                raise _malformed()
-            final = frames.copy()
-            final[done] = last
-        oracle = None if reply.truth is None else reply.truth.reward
-        return _SessionStep(frames, final, reply.terminated, reply.truncated, oracle)
+        done = reply.terminated | reply.truncated
+        if not done.any():
+            return frames
+        last = reply.final_frames.get(camera)
+        if last is None or last.shape != (done.sum(), *frames.shape[1:]):
+            raise _malformed()
+        final = frames.copy()
+        final[done] = last
+        return final
+
+    def _observed(self, frames: CameraFrames) -> Frames:
+        """Returns the frames of the observed cameras, side by side on the channels."""
+        return join_cameras(frames, self._cameras)
 
     def snapshot(self) -> bytes:
         return self.sim.snapshot(SnapshotRequest(self._session)).snapshot
@@ -264,6 +298,11 @@ class _Session:
     def close(self) -> None:
         with suppress(ServiceError):
             self.sim.close_session(CloseSessionRequest(self._session), timeout_s=_CLOSE_TIMEOUT_S)
+
+
+def _by_camera(parts: Sequence[CameraFrames]) -> CameraFrames:
+    """Returns the frames of several sessions or steps as one, by camera."""
+    return {camera: np.concatenate([part[camera] for part in parts]) for camera in parts[0]}
 
 
 def _malformed() -> IterationRejected:
@@ -280,10 +319,10 @@ class _RewardPipeline:
         self._reward_fn = reward_fn
         self._steps = steps
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="reward")
-        self._pending: list[tuple[Frames, Rewards | None]] = []
+        self._pending: list[tuple[CameraFrames, Rewards | None]] = []
         self._submitted: list[Future[Rewards]] = []
 
-    def add(self, frames: Frames, oracle: Rewards | None) -> None:
+    def add(self, frames: CameraFrames, oracle: Rewards | None) -> None:
         self._pending.append((frames, oracle))
         if len(self._pending) == self._steps:
             self._submit()
@@ -305,16 +344,16 @@ class _RewardPipeline:
         self._thread.shutdown(wait=False, cancel_futures=True)
 
     def _submit(self) -> None:
-        frames = np.concatenate([frames for frames, _ in self._pending])
+        frames = _by_camera([frames for frames, _ in self._pending])
         oracles = [oracle for _, oracle in self._pending if oracle is not None]
         self._pending = []
         self._submitted.append(self._thread.submit(self._call, frames, np.concatenate(oracles) if oracles else None))
 
-    def _call(self, frames: Frames, oracle: Rewards | None) -> Rewards:
-        rewards = self._reward_fn(frames, oracle)
-        if rewards.shape != (len(frames),):
+    def _call(self, frames: CameraFrames, oracle: Rewards | None) -> Rewards:
+        rewards, count = self._reward_fn(frames, oracle), moments(frames)
+        if rewards.shape != (count,):
             raise IterationRejected(
-                f"Rewards must be one per frame, of {len(frames)}; got shape {rewards.shape}.",
+                f"Rewards must be one per frame, of {count}; got shape {rewards.shape}.",
                 hint="See the log of the service that computes rewards.",
             )
         return rewards

@@ -29,7 +29,7 @@ from freerein_orchestrator.kinds.evaluate.record import RESULT
 from freerein_orchestrator.kinds.fit import check_steps
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.pipeline import Pipeline, make_step
-from freerein_orchestrator.kinds.ppo import PPORunConfig
+from freerein_orchestrator.kinds.ppo_config import PPORunConfig
 
 _SCENES = ".scatter"
 """What the name of a world's task ends in that shows its things in many places."""
@@ -108,17 +108,18 @@ def pipeline_steps(config: ZsrmRunConfig, task: Task, scenes: str) -> list[dict[
         InvalidInput: The goal in words relates no two things.
     """
     name, text = config.shared_name, config.text or task.goal_text
-    camera = config.training(text).camera
+    training = config.training(text)
+    cameras = training.reward_cameras or training.cameras or (training.camera,) * bool(training.camera)
     phrases = list(dict.fromkeys([*_nouns(text), *config.phrases]))
     images = {"behaviour": "random", "count": config.count, "seed": config.seed}
-    if camera:
-        images["cameras"] = [camera]
+    if cameras:
+        images["cameras"] = list(cameras)
+    several = {"cameras": list(cameras)} if len(cameras) > 1 else {}  # a fit's own default is the first
+    fit = {**several, **config.fit, "phrases": phrases}
     policy = {**config.policy, "task": task.name, "goal_text": text, "reward_model": name}
     return [
         make_step("images", "collect", task=scenes, dataset=name, **images),
-        make_step(
-            "reward", "fit", service="reward", dataset=name, model_name=name, config={**config.fit, "phrases": phrases}
-        ),
+        make_step("reward", "fit", service="reward", dataset=name, model_name=name, config=fit),
         make_step("policy", "ppo", **{"seed": config.seed, **policy}),
     ]
 

@@ -21,7 +21,7 @@ class RewardSetting:
     Attributes:
         config: Hyperparameters of the training.
         goal_text: The goal in words.
-        camera: The camera of the frames, and their size.
+        cameras: The cameras of the frames, and their sizes.
         model: The reward model; without a version until the training begins.
         service: Client of the reward service.
         data_dir: The data directory.
@@ -30,7 +30,7 @@ class RewardSetting:
 
     config: PPOConfig
     goal_text: str
-    camera: Camera
+    cameras: tuple[Camera, ...]
     model: ModelRef
     service: SyncClient
     data_dir: Path
@@ -47,6 +47,7 @@ class RewardEntry:
         sees: What it is computed from.
         privileged: Whether it knows what no learner may see. Only then is it given the true rewards that it sees.
         needs_eye: Whether the policy must see by an eye, or must not; None for either.
+        own_cameras: Whether the frames that it sees may be of other cameras than the policy's.
         resolve_model: Returns the version of the reward model that it is bound to; without a name where it needs none.
         encodes_objects: Whether an eye may have the encoder of its reward model.
     """
@@ -56,6 +57,7 @@ class RewardEntry:
     sees: frozenset[Sight]
     privileged: bool = False
     needs_eye: bool | None = None
+    own_cameras: bool = False
     resolve_model: Callable[[RewardSetting], ModelRef] = lambda _: ModelRef()
     encodes_objects: bool = True
 

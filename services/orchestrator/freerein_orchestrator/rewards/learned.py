@@ -1,6 +1,6 @@
 """Reward `learned`: 1 where a reward model prefers the goal text to its rival captions, else 0."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from freerein.types.reward import Mode, RewardRequest, RewardResponse
 from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
 from freerein_orchestrator.rl.errors import IterationRejected
 from freerein_orchestrator.rl.reward import Reward
-from freerein_orchestrator.rl.vec_env import Frames, Rewards
+from freerein_orchestrator.rl.vec_env import CameraFrames, Rewards, moments
 
 _RANGES: Mapping[Mode, str] = {"binary": "0 or 1", "raw": "a similarity, within [-1, 1]"}
 _MAX_SIMILARITY = 1.001
@@ -26,24 +26,23 @@ class LearnedReward(Reward):
     Attributes:
         service: The service's client.
         goal_text: What the frames should show.
-        camera: The frames' camera.
         model: Which model; with a version, so that it stays the same.
         mode: `binary`, 1 where the goal text beats its rival captions, else 0; or `raw`, the similarity.
     """
 
     service: SyncClient
     goal_text: str
-    camera: str
     model: ModelRef = ModelRef()
     mode: Mode = "binary"
 
-    def of_frames(self, frames: Frames, _true_rewards: Rewards | None = None) -> Rewards:
-        """Returns the rewards. A lone frame is sent twice: alone, the service would batch it with other requests.
+    def of_frames(self, frames: CameraFrames, _true_rewards: Rewards | None = None) -> Rewards:
+        """Returns the rewards. A lone moment is sent twice: alone, the service would batch it with other requests.
 
         Raises:
             IterationRejected: A reward is not one of this mode.
         """
-        sent = np.repeat(frames, 2, axis=0) if len(frames) == 1 else frames
+        count = moments(frames)
+        sent = frames if count > 1 else {name: np.repeat(each, 2, axis=0) for name, each in frames.items()}
         rewards = self._request(sent).rewards
         valid = np.isin(rewards, (0, 1)) if self.mode == "binary" else np.abs(rewards) <= _MAX_SIMILARITY
         if not valid.all():
@@ -51,24 +50,25 @@ class LearnedReward(Reward):
                 f"A reward in the mode {self.mode} must be {_RANGES[self.mode]}; got {rewards[~valid][0]}.",
                 hint="See the log of the reward service.",
             )
-        return rewards[: len(frames)]
+        return rewards[:count]
 
-    def resolve(self, camera: Camera) -> RewardResponse:
-        """Returns the model's answer to two blank frames of a camera: which one it is, and how it reads the goal text.
+    def resolve(self, cameras: Sequence[Camera]) -> RewardResponse:
+        """Returns the model's answer to two blank frames of each camera: its version, and how it reads the goal text.
 
         Raises:
-            InvalidInput: The model does not know a word of the goal text, takes no such text, or no frames of this
-                camera.
+            InvalidInput: The model does not know a word of the goal text, takes no such text, or needs another camera.
             NotFound: There is no such model.
             FailedPrecondition: None is active.
         """
-        answer = self._request(np.zeros((2, camera.height, camera.width, camera.channels), np.uint8))
+        answer = self._request(
+            {each.name: np.zeros((2, each.height, each.width, each.channels), np.uint8) for each in cameras}
+        )
         if answer.unknown:
             raise not_known(answer.unknown, answer.did_you_mean, field="config.goal_text")
         return answer
 
-    def _request(self, frames: Frames) -> RewardResponse:
-        request = RewardRequest(self.goal_text, {self.camera: frames}, mode=self.mode, model=self.model)
+    def _request(self, frames: CameraFrames) -> RewardResponse:
+        request = RewardRequest(self.goal_text, dict(frames), mode=self.mode, model=self.model)
         return self.service.reward(request)
 
 
@@ -84,13 +84,14 @@ def served_entry(mode: Mode, supervision: str, *, default_model: str = "", encod
 
     def reward(setting: RewardSetting) -> LearnedReward:
         model = ModelRef(setting.model.name or default_model, setting.model.version)
-        return LearnedReward(setting.service, setting.goal_text, setting.camera.name, model, mode)
+        return LearnedReward(setting.service, setting.goal_text, model, mode)
 
     return RewardEntry(
         lambda setting, _: reward(setting),
         supervision,
         frozenset({"frames"}),
-        resolve_model=lambda setting: reward(setting).resolve(setting.camera).model,
+        own_cameras=True,
+        resolve_model=lambda setting: reward(setting).resolve(setting.cameras).model,
         encodes_objects=encodes_objects,
     )
 

@@ -3,13 +3,13 @@
 from freerein.errors import FailedPrecondition
 from freerein_orchestrator.rewards.entry import RewardEntry
 from freerein_orchestrator.rl.reward import Reward
-from freerein_orchestrator.rl.vec_env import Frames, Rewards
+from freerein_orchestrator.rl.vec_env import CameraFrames, Rewards
 
 
 class OracleReward(Reward):
     """Passes the true rewards on."""
 
-    def of_frames(self, _frames: Frames, true_rewards: Rewards | None) -> Rewards:
+    def of_frames(self, _frames: CameraFrames, true_rewards: Rewards | None) -> Rewards:
         """Returns the true rewards.
 
         Raises:

@@ -4,6 +4,8 @@ Variational inverse control with events (Fu et al. 2018) goes on training its cl
 That of the dissertation is trained once: last frames of trajectories that end in success, against earlier ones.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -20,7 +22,7 @@ from freerein.learning.train_state import TrainState
 from freerein.types.common import Camera
 from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
 from freerein_orchestrator.rl.reward import Reward
-from freerein_orchestrator.rl.vec_env import Frames, Rewards
+from freerein_orchestrator.rl.vec_env import CameraFrames, Rewards, join_cameras
 
 _STEPS, _BATCH_SIZE, _LR = 150, 16, 1e-3
 _FEATURES = 64
@@ -31,10 +33,9 @@ _FAILURES = 4
 class SuccessClassifier(nn.Module):
     """Tells frames of success, uint8 (N, H, W, C), from others: logits, float32 (N,)."""
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, height: int, width: int, channels: int) -> None:
         super().__init__()
-        sizes = {"height": camera.height, "width": camera.width, "channels": camera.channels}
-        self.image = SpatialEncoder(**sizes, features=_FEATURES)
+        self.image = SpatialEncoder(height=height, width=width, channels=channels, features=_FEATURES)
         self.head = nn.Linear(_FEATURES, 1)
 
     def forward(self, frames: Tensor) -> Tensor:
@@ -56,20 +57,23 @@ def fit(network: SuccessClassifier, successes: Tensor, failures: Tensor, generat
         state = optimiser_step(state, loss, lr=_LR)
 
 
-def examples(dataset: Dataset, camera: Camera) -> tuple[Tensor, Tensor]:
-    """Returns frames of success and of failure, uint8 (N, H, W, C) each.
+def examples(dataset: Dataset, cameras: Sequence[Camera]) -> tuple[Tensor, Tensor]:
+    """Returns frames of success and of failure, those of all cameras on the channels, uint8 (N, H, W, C) each.
 
     Raises:
-        InvalidInput: The dataset has no such camera, or no trajectory of two timesteps.
+        InvalidInput: The dataset lacks a camera, or has no trajectory of two timesteps.
     """
-    size = (camera.height, camera.width, camera.channels)
-    if dataset.spec.cameras.get(camera.name) != size:
-        raise InvalidInput(
-            f"Examples of success must be of the camera {camera.name}, {size}; these are of {dataset.spec.cameras}.",
-            field="config.dataset",
-            hint="Record them in this task, with frames of the camera's own size.",
-        )
-    seen = [frames for each in dataset if len(frames := each.frames[camera.name]) > 1]
+    for camera in cameras:
+        size = (camera.height, camera.width, camera.channels)
+        if dataset.spec.cameras.get(camera.name) != size:
+            raise InvalidInput(
+                f"Examples of success must be of the camera {camera.name}, {size}; these are of "
+                f"{dataset.spec.cameras}.",
+                field="config.dataset",
+                hint="Record them in this task, with frames of the camera's own size.",
+            )
+    names = [camera.name for camera in cameras]
+    seen = [frames for each in dataset if len(frames := join_cameras(each.frames, names)) > 1]
     if not seen:
         raise InvalidInput("Examples of success need trajectories of two timesteps; got none.", field="config.dataset")
     first_half = [frames[np.linspace(0, len(frames) // 2 - 1, _FAILURES).astype(int)] for frames in seen]
@@ -81,7 +85,9 @@ class ViceReward(Reward):
 
     def __init__(self, setting: RewardSetting) -> None:
         self._setting = setting
-        self._network = SuccessClassifier(setting.camera)
+        first, *_ = setting.cameras
+        channels = sum(camera.channels for camera in setting.cameras)
+        self._network = SuccessClassifier(first.height, first.width, channels)
 
     def begin(self) -> None:
         """Trains the classifier.
@@ -91,13 +97,14 @@ class ViceReward(Reward):
             InvalidInput: It has no such examples.
         """
         setting = self._setting
-        successes, failures = examples(open_dataset(setting.data_dir, setting.dataset), setting.camera)
+        successes, failures = examples(open_dataset(setting.data_dir, setting.dataset), setting.cameras)
         fit(self._network, successes, failures, torch.Generator().manual_seed(setting.config.seed))
 
     @torch.no_grad()
-    def of_frames(self, frames: Frames, _true_rewards: Rewards | None = None) -> Rewards:
+    def of_frames(self, frames: CameraFrames, _true_rewards: Rewards | None = None) -> Rewards:
         """Returns 1 where success is more likely than not, else 0."""
-        rewards: Rewards = (self._network(torch.from_numpy(frames)) > 0).numpy().astype(np.float32)
+        seen = torch.from_numpy(join_cameras(frames, [camera.name for camera in self._setting.cameras]))
+        rewards: Rewards = (self._network(seen) > 0).numpy().astype(np.float32)
         return rewards
 
     def snapshot(self) -> Checkpoint:
@@ -114,4 +121,5 @@ VICE = RewardEntry(
     "images of success, chosen by true states, which is privileged: to compare with",
     frozenset({"frames", "success_examples"}),
     privileged=True,
+    own_cameras=True,
 )

@@ -97,9 +97,8 @@ class ICM(nn.Module):
         super().__init__()
         self._choices = spec.action_choices
         outputs = spec.action_choices or spec.action_size
-        self.image = ENCODERS[spec.encoder](
-            height=spec.height, width=spec.width, channels=spec.channels, features=spec.feature_size
-        )
+        height, width, channels = spec.observation_shape
+        self.image = ENCODERS[spec.encoder](height=height, width=width, channels=channels, features=spec.feature_size)
         self.inverse = _mlp(2 * spec.feature_size, hidden_size, outputs)
         self.change = _mlp(spec.feature_size + outputs, hidden_size, spec.feature_size)
 

@@ -8,7 +8,8 @@ from freerein.learning import weights
 from freerein.learning.actor_critic.eye import EyeSpec
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein_orchestrator.rl.config import PPOConfig
-from freerein_orchestrator.rl.vec_env import Observations, VecEnv, env_actions, observation_tensor
+from freerein_orchestrator.rl.rollout import first_observations, next_observations
+from freerein_orchestrator.rl.vec_env import VecEnv, env_actions
 
 _CALIBRATION_STEPS = 64
 
@@ -22,17 +23,23 @@ def network_spec(
     eye: EyeSpec | None = None,
     encoder: str = "spatial",
     action_repeat: int = 1,
+    cameras: int = 1,
+    frame_stack: int = 1,
+    gray: bool = False,
 ) -> ActorCriticSpec:
     """Returns the network of a configuration.
 
     Args:
         config: Hyperparameters.
-        observation: Shape of an observation: (H, W, C) or (D,).
+        observation: Shape of a camera's frame, (H, W, C), or of a vector, (D,).
         action_size: Numbers per action.
         action_choices: Number of discrete actions, 0 if continuous.
         eye: The frozen eye that sees the frames, if any.
         encoder: The image encoder that sees them without an eye.
         action_repeat: Timesteps that each action is held for.
+        cameras: Number of cameras.
+        frame_stack: The last frames of each camera that are one observation.
+        gray: Whether the network sees the luma of RGB frames.
 
     Raises:
         InvalidInput: There is no network for such observations or actions.
@@ -56,6 +63,9 @@ def network_spec(
         eye=eye,
         encoder="spatial" if eye else encoder,
         action_repeat=action_repeat,
+        cameras=cameras,
+        frame_stack=frame_stack,
+        gray=gray,
     )
 
 
@@ -71,12 +81,13 @@ def calibrate(network: ActorCritic, envs: VecEnv, generator: torch.Generator) ->
     spec = network.spec
     if spec.vector_size:
         return
-    frames: list[Observations] = [envs.reset()]
+    seen = [first_observations(network, envs)]
     for _ in range(_CALIBRATION_STEPS):
-        frames.append(envs.step(env_actions(random_actions(spec, envs.num_envs, generator))).observations)
+        actions = random_actions(spec, envs.num_envs, generator)
+        step = envs.step(env_actions(actions))
+        seen.append(next_observations(network, seen[-1], step, actions)[0])
     envs.rewards()  # unused
-    seen = torch.cat([observation_tensor(each, spec, envs.num_envs) for each in frames])
-    network.calibrate(seen.to(next(network.parameters()).device))
+    network.calibrate(torch.cat(seen).to(next(network.parameters()).device))
 
 
 def random_actions(spec: ActorCriticSpec, num_envs: int, generator: torch.Generator) -> Tensor:

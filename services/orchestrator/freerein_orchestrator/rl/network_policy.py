@@ -1,6 +1,6 @@
 """Acting with the policy of a ppo run; `freerein.learning.actor_critic` has its files and its network."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,7 @@ class NetworkPolicy:
         """Returns an action per environment.
 
         Args:
-            frames: uint8 (N, H, W, C).
+            frames: uint8 (N, H, W, C), those of several cameras side by side on the channels.
             episode_starts: bool (N,); the recurrent state is reset there.
 
         Raises:
@@ -40,20 +40,20 @@ class NetworkPolicy:
         memory = _Memory.init(spec, len(starts)) if self._memory is None else self._memory.reset(starts)
         due = memory.held == 0
         if due.any():
-            actions, recurrent_state = self._choose(observations[due], starts[due], memory, due)
-            memory.actions[due], memory.recurrent_state[due] = actions, recurrent_state
-        held = (memory.held + 1) % spec.action_repeat
-        self._memory = _Memory(memory.actions, memory.recurrent_state, held)
+            self._choose(observations[due], starts[due], memory, due)
+        self._memory = replace(memory, held=(memory.held + 1) % spec.action_repeat)
         return env_actions(memory.actions)
 
-    def _choose(self, observations: Tensor, starts: Tensor, memory: "_Memory", due: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns new actions and recurrent states of the environments that are `due`."""
+    def _choose(self, frames: Tensor, starts: Tensor, memory: "_Memory", due: Tensor) -> None:
+        """Sets new actions, recurrent states and earlier frames of the environments that are `due`."""
         device = next(self._network.parameters()).device
-        seen = self._network.observe(observations, executed_actions(memory.actions[due]))
+        last, earlier = executed_actions(memory.actions[due]), memory.earlier_frames[due]
+        observations = self._network.observe(frames, last, earlier, starts)
         state = memory.recurrent_state[due].to(device)
-        outputs = self._network(seen[None].to(device), starts[None].to(device), state)
+        outputs = self._network(observations[None].to(device), starts[None].to(device), state)
         actions = outputs.actions.mode() if self._generator is None else outputs.actions.sample(self._generator)
-        return actions[0].cpu(), outputs.recurrent_state.cpu()
+        memory.actions[due], memory.recurrent_state[due] = actions[0].cpu(), outputs.recurrent_state.cpu()
+        memory.earlier_frames[due] = self._network.earlier_frames(observations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +63,13 @@ class _Memory:
     Attributes:
         actions: The present one, float32 (N, A) or int64 (N, 1); 0 before the first.
         recurrent_state: float32 (N, recurrent_size).
+        earlier_frames: What the next observation stacks, uint8 (N, *earlier_shape).
         held: Timesteps that it has been held for; 0 where a new one is due. int64 (N,).
     """
 
     actions: Tensor
     recurrent_state: Tensor
+    earlier_frames: Tensor
     held: Tensor
 
     @classmethod
@@ -77,9 +79,10 @@ class _Memory:
         return cls(
             torch.zeros(num_envs, spec.action_size, dtype=dtype),
             torch.zeros(num_envs, spec.recurrent_size),
+            torch.zeros(num_envs, *spec.earlier_shape, dtype=torch.uint8),
             torch.zeros(num_envs, dtype=torch.int64),
         )
 
     def reset(self, starts: Tensor) -> "_Memory":
-        """Returns the memory without that of the episodes that ended; recurrent states are reset by the network."""
-        return _Memory(self.actions * ~starts[:, None], self.recurrent_state, self.held * ~starts)
+        """Returns the memory without that of the episodes that ended; the network resets recurrent state and frames."""
+        return replace(self, actions=self.actions * ~starts[:, None], held=self.held * ~starts)

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from freerein.learning.checkpoints import Checkpoint
 from freerein_orchestrator.rl.rollout import RolloutBuffer
-from freerein_orchestrator.rl.vec_env import Frames, Rewards
+from freerein_orchestrator.rl.vec_env import CameraFrames, Rewards, moments
 
 
 class Reward:
@@ -14,14 +14,14 @@ class Reward:
     def begin(self) -> None:
         """Learns what it must know before the first rollout; not called where it is restored."""
 
-    def of_frames(self, frames: Frames, _true_rewards: Rewards | None) -> Rewards:
+    def of_frames(self, frames: CameraFrames, _true_rewards: Rewards | None) -> Rewards:
         """Returns the rewards of frames that were just collected, float32 (M,).
 
         Args:
-            frames: uint8 (M, H, W, C), those that M actions led to.
+            frames: By camera, uint8 (M, H, W, C), those that M actions led to.
             _true_rewards: Those of the task, float32 (M,); None in an unprivileged session.
         """
-        return np.zeros(len(frames), np.float32)
+        return np.zeros(moments(frames), np.float32)
 
     def rewards(self, rollout: RolloutBuffer) -> Tensor:
         """Returns the rewards of a rollout before normalisation, float32 (T, N), on the CPU: those of its frames."""

@@ -90,11 +90,10 @@ class CollectorState:
         Raises:
             InvalidInput: The observations are not what the network takes.
         """
-        spec, first = network.spec, observation_tensor(envs.reset(), network.spec, envs.num_envs)
         return cls(
-            observations=network.observe(first, torch.zeros(envs.num_envs, spec.action_size)),
+            observations=first_observations(network, envs),
             episode_starts=torch.ones(envs.num_envs, dtype=torch.bool),
-            recurrent_state=torch.zeros(envs.num_envs, spec.recurrent_size),
+            recurrent_state=torch.zeros(envs.num_envs, network.spec.recurrent_size),
             generator=generator.get_state(),
             env_snapshots=envs.snapshots(),
         )
@@ -141,7 +140,7 @@ def collect(
         outputs = network(observations[None].to(device), starts[None].to(device), recurrent_state.to(device))
         actions = outputs.actions.sample(generator)  # (1, N, A)
         step = envs.step(env_actions(actions[0]))
-        following, final = _next_observations(network, step, executed_actions(actions[0].cpu()))
+        following, final = next_observations(network, observations, step, executed_actions(actions[0].cpu()))
         row = _row(network, outputs, actions, step, final)
         rows.append({"observations": observations, "episode_starts": starts, **row})
         final_observations.append(final)
@@ -158,11 +157,39 @@ def collect(
     return rollout, CollectorState(observations, starts, recurrent_state, generator.get_state(), envs.snapshots())
 
 
-def _next_observations(network: ActorCritic, step: VecStep, executed: Tensor) -> tuple[Tensor, Tensor]:
-    """Returns next and final observations of a step as the network takes them, given the executed actions (N, A)."""
+def first_observations(network: ActorCritic, envs: VecEnv) -> Tensor:
+    """Starts an episode in every environment; returns the first observations as the network takes them, (N, ...).
+
+    Raises:
+        InvalidInput: They are not what the network takes.
+    """
+    spec, num_envs = network.spec, envs.num_envs
+    seen = observation_tensor(envs.reset(), spec, num_envs)
+    earlier, starts = torch.zeros(num_envs, *spec.earlier_shape).byte(), torch.ones(num_envs, dtype=torch.bool)
+    return network.observe(seen, torch.zeros(num_envs, spec.action_size), earlier, starts)
+
+
+def next_observations(
+    network: ActorCritic, observations: Tensor, step: VecStep, executed: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Returns next and final observations of a step as the network takes them.
+
+    Args:
+        network: The policy.
+        observations: Before the step, as the network took them, (N, ...).
+        step: The step.
+        executed: The actions that were executed, (N, A).
+
+    Raises:
+        IterationRejected: The environments returned something malformed.
+    """
     following, final = step_observations(step, network.spec, len(executed))
-    dones = torch.from_numpy(step.terminated | step.truncated)
-    return network.observe(following, executed * ~dones[:, None]), network.observe(final, executed[dones])
+    dones, earlier = torch.from_numpy(step.terminated | step.truncated), network.earlier_frames(observations)
+    no_starts = torch.zeros(len(final), dtype=torch.bool)
+    return (
+        network.observe(following, executed * ~dones[:, None], earlier, dones),
+        network.observe(final, executed[dones], earlier[dones], no_starts),
+    )
 
 
 def _row(

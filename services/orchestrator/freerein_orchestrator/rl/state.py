@@ -175,6 +175,7 @@ def from_checkpoint(
     inputs = {**started["inputs"], **(inputs or {})}
     fresh = _init_learner(config, parse(ActorCriticSpec, started["network"]), device)
     identity = _identity(config, fresh.state.network, inputs)
+    identity["network"] = dict(started["network"])  # an earlier version's has fewer keys
     learner = train_state.from_checkpoint(checkpoint, fresh, identity, defaults=_defaults(config))
     return _restored(checkpoint, config, learner, make_rewards, inputs)
 

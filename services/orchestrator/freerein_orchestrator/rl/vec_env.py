@@ -1,5 +1,6 @@
 """The interface of vectorised environments, and the checks of what they return."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
@@ -13,10 +14,12 @@ from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein_orchestrator.rl.errors import IterationRejected
 
 Observations: TypeAlias = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
-"""Frames uint8 (N, H, W, C), or vectors float32 (N, D)."""
+"""Frames uint8 (N, H, W, C), those of several cameras side by side on the channels, or vectors float32 (N, D)."""
 Actions: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.int64]
 """float32 (N, A) in [-1, 1], or discrete int64 (N, 1)."""
 Frames: TypeAlias = npt.NDArray[np.uint8]
+CameraFrames: TypeAlias = Mapping[str, Frames]
+"""Frames of the same moments by camera, uint8 (M, H, W, C) each."""
 Rewards: TypeAlias = npt.NDArray[np.float32]
 
 _SIM_HINT = "See the log of the sim service."
@@ -59,6 +62,17 @@ class VecEnv(Protocol):
         """Returns what restores the environments' present state; empty where that is impossible."""
 
 
+def join_cameras(frames: CameraFrames, cameras: Sequence[str]) -> Frames:
+    """Returns the frames of some cameras, of one height and width, side by side on the channels: uint8 (M, H, W, C)."""
+    chosen = [frames[camera] for camera in cameras]
+    return chosen[0] if len(chosen) == 1 else np.concatenate(chosen, axis=-1)
+
+
+def moments(frames: CameraFrames) -> int:
+    """Returns the number of moments that frames of at least one camera show."""
+    return len(next(iter(frames.values())))
+
+
 def observation_tensor(observations: Observations, spec: ActorCriticSpec, num_envs: int) -> Tensor:
     """Returns a copy of the observations of `num_envs` environments as a tensor on the CPU.
 
@@ -66,7 +80,7 @@ def observation_tensor(observations: Observations, spec: ActorCriticSpec, num_en
         InvalidInput: Dtype or shape is not the network's, or a number is not finite.
     """
     dtype = np.dtype(np.float32 if spec.vector_size else np.uint8)
-    shape = (num_envs, *spec.observation_shape)
+    shape = (num_envs, *spec.input_shape)
     if observations.dtype != dtype or observations.shape != shape:
         raise InvalidInput(
             f"Observations must be {dtype} {shape}; got {observations.dtype} {observations.shape}.",

@@ -13,6 +13,8 @@ from freerein_orchestrator.rl.vec_env import VecEnv, env_actions, executed_actio
 def visited_frames(network: ActorCritic, envs: VecEnv, generator: torch.Generator, *, num_steps: int) -> Tensor:
     """Returns the frames of `num_steps` timesteps of N environments, uint8 (num_steps * N, H, W, C), step after step.
 
+    They are as the environments return them: those of all cameras on the channels, and none of them earlier ones.
+
     Args:
         network: The policy; its actions are sampled.
         envs: Frames; they are reset.
@@ -25,23 +27,28 @@ def visited_frames(network: ActorCritic, envs: VecEnv, generator: torch.Generato
     spec, num_envs, device = network.spec, envs.num_envs, next(network.parameters()).device
     seen, frames = observation_tensor(envs.reset(), spec, num_envs), []
     starts, state = torch.ones(num_envs, dtype=torch.bool), torch.zeros(num_envs, spec.recurrent_size)
-    executed = torch.zeros(num_envs, spec.action_size)
+    executed, earlier = torch.zeros(num_envs, spec.action_size), torch.zeros(num_envs, *spec.earlier_shape).byte()
     for _ in range(num_steps):
         frames.append(seen)
-        observed = network.observe(seen, executed)
+        observed = network.observe(seen, executed, earlier, starts)
         outputs = network(observed[None].to(device), starts[None].to(device), state.to(device))
         actions, state = outputs.actions.sample(generator)[0].cpu(), outputs.recurrent_state.cpu()
         step = envs.step(env_actions(actions))
         starts = torch.from_numpy(step.terminated | step.truncated)
         executed = executed_actions(actions) * ~starts[:, None]
-        seen = observation_tensor(step.observations, spec, num_envs)
+        seen, earlier = observation_tensor(step.observations, spec, num_envs), network.earlier_frames(observed)
     envs.rewards()  # unused
     return torch.cat(frames)
 
 
-def fit_in_distribution(frames: Tensor) -> InDistribution:
-    """Returns the score of how familiar frames are, of frames uint8 (M, H, W, C): the later half counts as held out."""
-    statistics = image_statistics({"": frames})
+def fit_in_distribution(frames: Tensor, *, cameras: int = 1) -> InDistribution:
+    """Returns the score of how familiar frames are; the later half of them counts as held out.
+
+    Args:
+        frames: uint8 (M, H, W, C).
+        cameras: Number of cameras whose frames are side by side on the channels.
+    """
+    statistics = image_statistics({str(number): each for number, each in enumerate(frames.chunk(cameras, dim=-1))})
     known, held_out = statistics.tensor_split(2)
     score = InDistribution(statistics.shape[1])
     confidence = torch.ones(len(held_out))  # none, so that there is none to calibrate on many episodes

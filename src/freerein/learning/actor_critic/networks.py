@@ -1,5 +1,6 @@
 """Actor and critic with a shared image encoder, or a frozen eye, and optionally a shared LSTM."""
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import cast
@@ -12,11 +13,15 @@ from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.distributions import Categorical, Distribution, Gaussian
 from freerein.learning.actor_critic.eye import EyeSpec, GoalEye
+from freerein.learning.actor_critic.frame_stack import luma, stack_frames
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.encoders.encoder import Encoder
 
 _HIDDEN_GAIN = 2**0.5
 _ACTOR_GAIN, _CRITIC_GAIN = 0.01, 1.0
+
+_STATE_BYTES, _HEADER_BYTES = 64 * 1024, 64
+"""Size of a served policy's `state`, and of what it has beside the policy's memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +34,10 @@ class ActorCriticSpec:
         vector_size: Numbers per vector observation, 0 for frames.
         height: Frame height in pixels; unused for vectors, as are width, channels and feature_size.
         width: Frame width in pixels.
-        channels: 1 or 3.
+        channels: Of a camera's frame, 1 or 3.
+        cameras: Number of cameras; their frames, of one size, are side by side on the channels.
+        frame_stack: k, the last frames of each camera that are one observation, on the channels.
+        gray: Whether the network sees the luma of RGB frames.
         feature_size: Image features.
         hidden_size: Units per hidden layer, and of the LSTM.
         recurrent: Whether there is an LSTM.
@@ -40,8 +48,9 @@ class ActorCriticSpec:
         encoder: Image encoder; unused for vectors and with an eye.
 
     Raises:
-        InvalidInput: There are 2 channels, or a discrete action has more than one number, or an eye has not frames in
-            colour and continuous actions.
+        InvalidInput: There are 2 channels, or a discrete action has more than one number, or an eye has not one RGB
+            frame of one camera and continuous actions, or vectors are to be stacked, or the frames of a stack do not
+            fit into a served policy's `state`.
     """
 
     action_size: int = bounded(1, least=1, most=256)
@@ -50,6 +59,9 @@ class ActorCriticSpec:
     height: int = bounded(64, least=4, most=1024)
     width: int = bounded(64, least=4, most=1024)
     channels: int = bounded(3, least=1, most=3)
+    cameras: int = bounded(1, least=1, most=8)
+    frame_stack: int = bounded(1, least=1, most=16)
+    gray: bool = False
     feature_size: int = bounded(128, least=8, most=1024)
     hidden_size: int = bounded(64, least=2, most=1024)
     recurrent: bool = False
@@ -62,11 +74,25 @@ class ActorCriticSpec:
     def __post_init__(self) -> None:
         if self.channels == 2:
             raise InvalidInput("Frames must have 1 or 3 channels; got 2.", hint="Render frames as gray or RGB.")
-        if self.eye is not None and (self.channels != 3 or self.vector_size or self.action_choices):
+        if self.vector_size and self.frame_stack > 1:
             raise InvalidInput(
-                "A goal eye needs RGB frames and continuous actions; got others.",
+                f"Frames are stacked, not vectors; got a stack of {self.frame_stack} vectors.",
+                field="config.frame_stack",
+                hint="Observe a camera, or use a recurrent policy.",
+            )
+        sees_one_frame = (self.channels, self.cameras, self.frame_stack, self.gray) == (3, 1, 1, False)
+        if self.eye is not None and (not sees_one_frame or self.vector_size or self.action_choices):
+            raise InvalidInput(
+                "A goal eye needs one RGB frame of one camera and continuous actions; got others.",
                 field="config.encoder",
                 hint="Choose the encoder `spatial`.",
+            )
+        if self.frame_stack > 1 and self._state_bytes > _STATE_BYTES:
+            raise InvalidInput(
+                f"The {self.frame_stack - 1} earlier frames of a stack must fit into a served policy's `state` of "
+                f"{_STATE_BYTES} bytes; it would need {self._state_bytes}.",
+                field="config.frame_stack",
+                hint="Stack fewer or smaller frames, or gray ones: --set gray=true --set height=48 --set width=48",
             )
         if self.action_choices and self.action_size > 1:
             raise InvalidInput(
@@ -74,14 +100,36 @@ class ActorCriticSpec:
             )
 
     @property
+    def input_shape(self) -> tuple[int, ...]:
+        """Shape of what an environment returns, the frames of all cameras or a vector: (H, W, C) or (D,)."""
+        return (self.vector_size,) if self.vector_size else (self.height, self.width, self.channels * self.cameras)
+
+    @property
     def observation_shape(self) -> tuple[int, ...]:
-        """Shape of one observation: (H, W, C) or (D,)."""
-        return (self.vector_size,) if self.vector_size else (self.height, self.width, self.channels)
+        """Shape of one observation, with the frames of a stack: (H, W, C) or (D,)."""
+        shape = (self.height, self.width, self._frame_channels * self.frame_stack)
+        return (self.vector_size,) if self.vector_size else shape
+
+    @property
+    def earlier_shape(self) -> tuple[int, ...]:
+        """Shape of the earlier frames of a stack, (H, W, C * (k - 1)); (0,) for vectors."""
+        shape = (self.height, self.width, self._frame_channels * (self.frame_stack - 1))
+        return (0,) if self.vector_size else shape
 
     @property
     def recurrent_size(self) -> int:
         """Size of the recurrent state, hidden state and cell together; 0 without LSTM."""
         return 2 * self.hidden_size if self.recurrent else 0
+
+    @property
+    def _frame_channels(self) -> int:
+        """Channels of the frames of one moment, as the network sees them."""
+        return self.cameras * (1 if self.gray else self.channels)
+
+    @property
+    def _state_bytes(self) -> int:
+        """Size of a served policy's `state`: a byte per pixel, and floats for the LSTM, the held action and counts."""
+        return _HEADER_BYTES + 4 * (self.recurrent_size + self.action_size) + math.prod(self.earlier_shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,17 +183,27 @@ class ActorCritic(nn.Module):
             self.gaussian.log_std.fill_(log_std)
 
     @torch.no_grad()
-    def observe(self, observations: Tensor, last_actions: Tensor) -> Tensor:
+    def observe(self, seen: Tensor, last_actions: Tensor, earlier: Tensor, starts: Tensor) -> Tensor:
         """Returns observations of N environments as `forward` takes them, on the CPU.
 
         Args:
-            observations: As environments return them, uint8 (N, H, W, C) or float32 (N, D).
+            seen: What environments return, uint8 (N, H, W, C) or float32 (N, D).
             last_actions: Executed before, float32 (N, A), 0 where an episode starts; not read without an eye.
+            earlier: Frames before it, from `earlier_frames`; not read where an episode starts.
+            starts: Whether an episode starts with it, bool (N,).
         """
-        if self.eye is None:
-            return observations
-        features = self.eye(observations.to(self.eye.grasp.device)).cpu()
-        return torch.cat([features, last_actions], dim=1)
+        if self.eye is not None:
+            features = self.eye(seen.to(self.eye.grasp.device)).cpu()
+            return torch.cat([features, last_actions], dim=1)
+        is_coloured = self.spec.gray and self.spec.channels == 3
+        return stack_frames(luma(seen) if is_coloured else seen, earlier, starts)
+
+    def earlier_frames(self, observations: Tensor) -> Tensor:
+        """Returns what the next observation stacks of the last one, (N, *earlier_shape), given those of `observe`."""
+        if self.spec.frame_stack == 1:
+            shape = (len(observations), *self.spec.earlier_shape)
+            return torch.zeros(shape, dtype=torch.uint8, device=observations.device)
+        return observations[..., -self.spec.earlier_shape[-1] :]
 
     def forward(self, observations: Tensor, episode_starts: Tensor, recurrent_state: Tensor) -> ActorCriticOutput:
         """Returns action distributions and values of T timesteps of B environments.
@@ -168,8 +226,8 @@ class ActorCritic(nn.Module):
 
 
 def _image_encoder(spec: ActorCriticSpec) -> nn.Module:
-    encoder = ENCODERS[spec.encoder]
-    return encoder(height=spec.height, width=spec.width, channels=spec.channels, features=spec.feature_size)
+    height, width, channels = spec.observation_shape
+    return ENCODERS[spec.encoder](height=height, width=width, channels=channels, features=spec.feature_size)
 
 
 def _eye(spec: ActorCriticSpec, eye: EyeSpec) -> GoalEye:

@@ -37,6 +37,11 @@ class StoredPolicy:
     network: ActorCritic
     card: Mapping[str, Any]
 
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The cameras that it observes, in order; earlier versions had one."""
+        return tuple(map(str, self.card.get("cameras") or [self.card["camera"]]))
+
 
 def save_policy(network: ActorCritic, folder: Path, *, card: Mapping[str, JSON]) -> None:
     """Writes a policy as a folder; the card gets the sha256 of the weights.

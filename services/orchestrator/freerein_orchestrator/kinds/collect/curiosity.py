@@ -69,7 +69,12 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
             conditions=config.conditions,
         )
         return open_groups(
-            sims, request, camera=camera, reward_fn=Reward().of_frames, snapshots=snapshots, interrupt=retry.interrupt
+            sims,
+            request,
+            cameras=(camera,),
+            reward_fn=Reward().of_frames,
+            snapshots=snapshots,
+            interrupt=retry.interrupt,
         )
 
     def init() -> PPOState:

@@ -28,12 +28,13 @@ from freerein.clients.tasks import find_task
 from freerein.data import DatasetSpec, Writer, create, integer_fps, open_writer, reached
 from freerein.errors import FailedPrecondition
 from freerein.learning.actor_critic.policy_files import StoredPolicy
-from freerein.types.common import Goal, ModelRef, Trajectory
+from freerein.types.common import Camera, Goal, ModelRef, Trajectory
 from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator.envs.episodes import Episode, derive_seed, run_episodes
 from freerein_orchestrator.envs.policies import PolicyHandle, PolicySession, served_policy, stored_policy
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, common_action
 from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.kinds.observed_cameras import ObservedCameras
 from freerein_orchestrator.rewards.learned import LearnedReward
 
 ROLLOUTS = "rollouts"
@@ -111,7 +112,9 @@ class _Recording:
             self._retry.call(partial(find_task, self._sim, str(policy.card["task"]))) for policy in policies
         ]
         self._is_judged = all(policy.card.get("reward") == "learned" for policy in policies)
-        (self._camera,) = PolicyInterface.of_stored(policies[0]).cameras
+        self._cameras = PolicyInterface.of_stored(policies[0]).cameras
+        seen = [*self._cameras, *(camera for policy in policies if self._is_judged for camera in _rewarded(policy))]
+        self._recorded = tuple(dict.fromkeys(camera.name for camera in seen))
         self._path = context.folder / "checkpoints" / "rollouts.json"
         self._kept: list[int] = json.loads(self._path.read_bytes()) if self._path.is_file() else []
         rounds = list(plan.rounds(len(policies)))
@@ -123,14 +126,13 @@ class _Recording:
     def check_goal_texts(self) -> None:
         """Raises InvalidInput where a reward model does not know a word of its teacher's goal text."""
         for policy in self._policies:
-            self._retry.call(partial(self._reward_of(policy).resolve, self._camera))
+            self._retry.call(partial(self._reward_of(policy).resolve, _rewarded(policy)))
 
     def open(self) -> Writer:
         action, control_dt_s = common_action(self._tasks)
-        camera = self._camera
         spec = DatasetSpec(
             fps=integer_fps(control_dt_s),
-            cameras={camera.name: (camera.height, camera.width, camera.channels)},
+            cameras={each.name: (each.height, each.width, each.channels) for each in self._cameras},
             action=action,
             robot_type=self._tasks[0].world,
             has_terminations=True,
@@ -155,7 +157,7 @@ class _Recording:
                 reached.save(self._root, len(writer), self._reached(policy, episode))
             writer.append(
                 Trajectory(
-                    frames={camera: frames[:-1] for camera, frames in episode.frames.items()},
+                    frames={camera.name: episode.frames[camera.name][:-1] for camera in self._cameras},
                     actions=episode.actions,
                     goal_text=str(policy.card["goal_text"]),
                     terminated=episode.terminated,
@@ -184,8 +186,7 @@ class _Recording:
     def _run(
         self, request: CreateSessionRequest, policy: PolicyHandle, *, goals: Sequence[Goal] = ()
     ) -> Sequence[Episode]:
-        cameras = (self._camera.name,)
-        return run_episodes(self._sim, request, policy, self._retry.interrupt, goals=goals, cameras=cameras)
+        return run_episodes(self._sim, request, policy, self._retry.interrupt, goals=goals, cameras=self._recorded)
 
     def _teacher(self, each: _Round, *, stochastic: bool) -> PolicyHandle:
         return stored_policy(self._policies[each.teacher], self._tasks[each.teacher], stochastic=stochastic)
@@ -204,18 +205,20 @@ class _Recording:
         if self._plan.keep == "all":
             return episodes
         reward = self._reward_of(policy)
-        last = np.stack([episode.frames[self._camera.name][-2] for episode in episodes])  # of the recorded rollout
+        names = [camera.name for camera in _rewarded(policy)]
+        last = {name: np.stack([each.frames[name][-2] for each in episodes]) for name in names}  # of recorded rollouts
         rewards = self._retry.call(lambda: reward.of_frames(last))
         return [episode for episode, each in zip(episodes, rewards, strict=True) if each > 0]
 
     def _reached(self, policy: StoredPolicy, episode: Episode) -> npt.NDArray[np.bool_]:
         """Returns which recorded frames show the goal, bool (T,), by the reward model that the teacher learned from."""
-        reward, frames = self._reward_of(policy), episode.frames[self._camera.name][:-1]
+        reward = self._reward_of(policy)
+        frames = {camera.name: episode.frames[camera.name][:-1] for camera in _rewarded(policy)}
         return self._retry.call(lambda: reward.of_frames(frames)) > 0
 
     def _reward_of(self, policy: StoredPolicy) -> LearnedReward:
         goal_text, model = str(policy.card["goal_text"]), ModelRef(**policy.card["model"])
-        return LearnedReward(self._reward, goal_text, self._camera.name, model)
+        return LearnedReward(self._reward, goal_text, model)
 
     def _finish(self, each: _Round, kept: Sequence[Episode]) -> None:
         self._episodes += each.count
@@ -232,6 +235,11 @@ class _Recording:
                 hint="Train it longer, or keep all.",
             )
         write_atomic(self._path, json.dumps(self._kept).encode())
+
+
+def _rewarded(policy: StoredPolicy) -> tuple[Camera, ...]:
+    """Returns the cameras that a teacher's reward sees."""
+    return ObservedCameras.of_inputs(policy.card, policy.network.spec).reward
 
 
 def relabelled(episodes: Sequence[Episode], teacher: PolicyHandle) -> Sequence[Episode]:
