@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +10,7 @@ from freerein_sim.worlds.blocks import scene
 from freerein_sim.worlds.blocks.goals import BlockGoal
 from freerein_sim.worlds.blocks.relations import BLOCK_M, CLOSE_M, PLACED_ASIDE_M, BlockRelation, Position
 from freerein_sim.worlds.blocks.spec import COLOURS
+from freerein_sim.worlds.blocks.variation import Begin
 
 PARKED_M = np.array([(scene.PAD_M[0], (i - 1.5) * 2 * BLOCK_M, BLOCK_M / 2) for i in range(len(COLOURS))])
 """Position of each hidden block on the pad, in the order of `COLOURS`: float64 (4, 3)."""
@@ -77,10 +77,6 @@ class InitialState:
     gripper: GripperState
 
 
-Begin = Literal["own", "near", "held"]
-"""How an episode of a goal task begins: as the task has it, with the gripper on its way to the block that the goal
-moves, or with that block in the gripper, anywhere."""
-
 InitialStateSampler = Callable[[np.random.Generator, Sequence[str]], InitialState]
 """Draws an initial state in which the blocks of some colours, at least, are on show."""
 
@@ -128,7 +124,7 @@ def pair(
             shown = rng.permutation(others)[: count - 2]
             blocks[shown] = np.stack([(0, y, BLOCK_M / 2) for y in bystanders])
         drawn = InitialState(blocks, start.gripper)
-        return _begun(rng, drawn, goal_blocks[0], begins[rng.integers(len(begins))]) if begins else drawn
+        return _begun(rng, drawn, goal_blocks[0], begins[int(rng.integers(len(begins)))]) if begins else drawn
 
 
 def _begun(rng: np.random.Generator, own: InitialState, first: int, begin: Begin) -> InitialState:

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 from freerein_sim.worlds.conditions import (
     CAMERA_SHIFT_M,
@@ -13,6 +13,10 @@ from freerein_sim.worlds.conditions import (
     Condition,
     light_scale,
 )
+
+Begin = Literal["own", "near", "held"]
+"""How an episode of a goal task begins: as the task has it, with the gripper on its way to the block that the goal
+moves, or with that block in the gripper, anywhere."""
 
 _NEAR = "in half of the episodes the gripper is near the first block"
 _ON_THE_WAY = "in two of three episodes the gripper is near the first block or holds it"
@@ -62,7 +66,7 @@ class Variation:
         camera_shift_m: How far each camera is moved.
         camera_turn_deg: How far each camera is turned.
         is_start_unseen: Whether blocks begin within the wider interval.
-        begins: How episodes may begin, of `initial_states.Begin`; empty for as the task has it.
+        begins: How episodes may begin; empty for as the task has it.
         speed: Factor of the expert's speed of travel.
         distractor: Kind of the distractor that is shown; empty for none.
     """
@@ -73,7 +77,7 @@ class Variation:
     camera_shift_m: float = 0.0
     camera_turn_deg: float = 0.0
     is_start_unseen: bool = False
-    begins: tuple[str, ...] = ()
+    begins: tuple[Begin, ...] = ()
     speed: float = 1.0
     distractor: str = ""
 
