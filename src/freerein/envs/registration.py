@@ -11,7 +11,7 @@ _PUSH = tuple(f"push.{first}-close-to-{second}" for first, second in _PAIRS if (
 
 TASKS = (
     *("bins", "bins.uneven", "blocks", "blocks.scatter", "dial", "dial.uneven", "doom", "doom.b", "doom.v1", "doom.v2"),
-    *("grid", "grid-no-indicator", "pendulum", "push", "push.scatter", "tabletop", "tabletop.only-own-objects"),
+    *("grid", "grid-no-indicator", "pendulum", "push", "push.scatter", "rope", "tabletop", "tabletop.only-own-objects"),
     *(*_BLOCKS, *_PUSH),
 )
 """The tasks that come with freerein."""

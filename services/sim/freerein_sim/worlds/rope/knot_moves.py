@@ -20,10 +20,13 @@ _FIRST, _LAST = 0, LINKS - 1
 _FOLD_M = ((_FIRST, (-0.17, -0.09)), (_FIRST, (-0.04, -0.15)), (_FIRST, (0.10, -0.14)), (_LAST, (0.17, -0.09)))
 """Links, and their places along the straight rope and across it, from its middle."""
 
-_CROSSED_POINT, _BEYOND_M, _SHORT_M = 6, 0.11, 0.03
+_CROSSED_POINT, _BEYOND_M, _SHORT_M = 7, 0.13, 0.03
 """The point of the rope that the last end is laid over, how far beyond, and how far before it waits."""
 
-_ASIDE_M = 0.03
+_END_LINKS, _PULL_M, _PULLS = 6, 0.05, 4
+"""Links of an end that is long enough, how far a shorter one is pulled at a time, and how often at most."""
+
+_ASIDE_M = 0.02
 """How far from the loop's side an end is laid down."""
 
 _COVERED_M = 0.035
@@ -75,6 +78,7 @@ def knot_moves(rope: RopeView, *, is_mirrored: bool, rng: np.random.Generator) -
     for link, (x, y) in _FOLD_M:
         yield Move(link, middle + x * along + y * across + _STRAY_M * rng.standard_normal(2))
     yield from _cross_over(rope, across)
+    yield from _lengthen_ends(rope)
     loop = find_loop(rope)
     if loop is not None:
         yield from _cover_last_end(rope, loop)
@@ -106,7 +110,7 @@ def _cross_over(rope: RopeView, across: Place) -> Iterator[Move]:
         points = rope.points[:, :2]
         target, end = points[_CROSSED_POINT], points[-1]
         distance = float(np.linalg.norm(target - end))
-        if distance < LONGEST_M - _BEYOND_M + 0.02:
+        if distance < 0.05:
             break
         yield Move(_LAST, target - _SHORT_M * _unit(target - end) + 0.02 * across)
     points = rope.points[:, :2]
@@ -114,6 +118,20 @@ def _cross_over(rope: RopeView, across: Place) -> Iterator[Move]:
     beyond = _left(_unit(points[_CROSSED_POINT + 2] - points[_CROSSED_POINT - 2]))
     beyond = beyond if (target - points[-4]) @ beyond > 0 else -beyond
     yield Move(_LAST, target + _BEYOND_M * beyond)
+
+
+def _lengthen_ends(rope: RopeView) -> Iterator[Move]:
+    """Pulls ends out of the loop until they are long enough to be laid around its sides."""
+    for _ in range(_PULLS):
+        loop = find_loop(rope)
+        if loop is None:
+            return
+        points, (begin, end) = rope.points[:, :2], loop.links
+        lengths = (begin, LINKS - end)
+        if min(lengths) >= _END_LINKS:
+            return
+        link, place = (_FIRST, points[0]) if lengths[0] < lengths[1] else (_LAST, points[-1])
+        yield Move(link, place + _PULL_M * _unit(place - loop.crossing))
 
 
 def _cover_last_end(rope: RopeView, loop: Loop) -> Iterator[Move]:
