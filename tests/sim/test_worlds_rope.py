@@ -40,9 +40,7 @@ def turned(headings: Numbers) -> Numbers:
 
 
 ALONG = np.linspace(0, 2 * np.pi, 60)[1:-1]
-OVERHAND = curve(
-    x=np.sin(ALONG) + 2 * np.sin(2 * ALONG), y=np.cos(ALONG) - 2 * np.cos(2 * ALONG), z=-np.sin(3 * ALONG)
-)
+OVERHAND = curve(x=np.sin(ALONG) + 2 * np.sin(2 * ALONG), y=np.cos(ALONG) - 2 * np.cos(2 * ALONG), z=-np.sin(3 * ALONG))
 FIGURE_EIGHT = curve(
     x=(2 + np.cos(2 * ALONG)) * np.cos(3 * ALONG), y=(2 + np.cos(2 * ALONG)) * np.sin(3 * ALONG), z=np.sin(4 * ALONG)
 )
@@ -63,7 +61,16 @@ S = turned(np.pi * np.interp(np.arange(LINKS), (0, LINKS // 2, LINKS - 1), (0, 1
         (OVERHAND * [1, 1, 0] + LOOP * [0, 0, 1], False),
         (FIGURE_EIGHT, True),
     ],
-    ids=["line", "loop", "S", "overhand", "its mirror image", "from its other end", "laid down in one go", "figure eight"],
+    ids=[
+        "line",
+        "loop",
+        "S",
+        "overhand",
+        "its mirror image",
+        "from its other end",
+        "laid down in one go",
+        "figure eight",
+    ],
 )
 def test_a_curve_is_knotted_by_its_over_and_undercrossings(points: Numbers, knotted: bool) -> None:
     assert is_knotted(points) is knotted
@@ -148,7 +155,7 @@ def test_exploration_leaves_the_rope_on_the_table_and_makes_no_knot(world: RopeW
 
         assert np.isfinite(points).all()
         assert np.abs(points[:, :2]).max() < 2 * VIEW_M
-        assert 0 < points[:, 2].min()
+        assert points[:, 2].min() > 0
         assert points[:, 2].max() < 0.1
         assert not is_knotted(points)
 

@@ -14,8 +14,8 @@ from freerein_sim.worlds.rope.simulation import RopeWorld, check_one_skill
 from freerein_sim.worlds.rope.spec import KNOT, LINKS, LONGEST_M, SPEC
 from freerein_sim.worlds.world import LabelledAction, skill_indices
 
-_S_RAD = np.pi * np.interp(np.arange(LINKS), (0, LINKS // 2, LINKS - 1), (0, 1, 0))
-"""Headings of the links of an S: two half circles."""
+_S_RAD = 1.15 * np.pi * np.interp(np.arange(LINKS), (0, LINKS // 2, LINKS - 1), (0, 1, 0))
+"""Headings of the links of an S: two arcs, of more than half a circle, because the rope springs back."""
 
 _S_TOLERANCE_M, _S_MOVES = 0.02, 30
 

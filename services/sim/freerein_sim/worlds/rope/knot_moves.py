@@ -14,14 +14,17 @@ import numpy as np
 from freerein_sim.worlds.rope.knots import crossings
 from freerein_sim.worlds.rope.moves import Move, RopeView, curve_of, lay_down
 from freerein_sim.worlds.rope.simulation import Place
-from freerein_sim.worlds.rope.spec import LINKS, LONGEST_M
+from freerein_sim.worlds.rope.spec import LINKS
 
 _FIRST, _LAST = 0, LINKS - 1
 _FOLD_M = ((_FIRST, (-0.17, -0.09)), (_FIRST, (-0.04, -0.15)), (_FIRST, (0.10, -0.14)), (_LAST, (0.17, -0.09)))
 """Links, and their places along the straight rope and across it, from its middle."""
 
-_CROSSED_POINT, _BEYOND_M, _SHORT_M = 7, 0.13, 0.03
-"""The point of the rope that the last end is laid over, how far beyond, and how far before it waits."""
+_CROSSED_POINT, _BEYOND_M, _SHORT_M, _ACROSS_M = 7, 0.13, 0.03, 0.02
+"""The point of the rope that the last end is laid over, how far beyond, and how far before and aside it waits."""
+
+_NEAR_M = 0.05
+"""How near to it the last end is laid over at once."""
 
 _END_LINKS, _PULL_M, _PULLS = 6, 0.05, 4
 """Links of an end that is long enough, how far a shorter one is pulled at a time, and how often at most."""
@@ -109,10 +112,9 @@ def _cross_over(rope: RopeView, across: Place) -> Iterator[Move]:
     for _ in range(2):
         points = rope.points[:, :2]
         target, end = points[_CROSSED_POINT], points[-1]
-        distance = float(np.linalg.norm(target - end))
-        if distance < 0.05:
+        if np.linalg.norm(target - end) < _NEAR_M:
             break
-        yield Move(_LAST, target - _SHORT_M * _unit(target - end) + 0.02 * across)
+        yield Move(_LAST, target - _SHORT_M * _unit(target - end) + _ACROSS_M * across)
     points = rope.points[:, :2]
     target = points[_CROSSED_POINT]
     beyond = _left(_unit(points[_CROSSED_POINT + 2] - points[_CROSSED_POINT - 2]))

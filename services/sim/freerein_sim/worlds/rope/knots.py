@@ -17,7 +17,7 @@ Points = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.float64]
 
 _FEWEST = 3
-"""Crossings of the simplest knots. A curve whose ends are joined by a straight line has them in the picture of both."""
+"""Crossings of the simplest knots."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +49,14 @@ def crossings(points: Points, *, join_height: float | None = None) -> Crossings:
     begins, steps = corners[:-1], np.diff(corners, axis=0)
     first, second = np.triu_indices(len(steps), 2)
     along_first, along_second = _intersections(begins[first], steps[first], begins[second], steps[second])
-    crosses = (0 < along_first) & (along_first < 1) & (0 < along_second) & (along_second < 1)
-    first, second, along_first, along_second = (
-        each[crosses] for each in (first, second, along_first, along_second)
-    )
-    height_first = begins[first, 2] + along_first * steps[first, 2]
-    height_second = begins[second, 2] + along_second * steps[second, 2]
+    joins = second == len(points) - 1
+    found = (along_first > 0) & (along_first < 1) & (along_second > 0) & (along_second < 1) & ~(joins & (first == 0))
+    one, other = (first + along_first)[found], (second + along_second)[found]
+    height = (begins[first, 2] + along_first * steps[first, 2])[found]
+    other_height = (begins[second, 2] + along_second * steps[second, 2])[found]
     if join_height is not None:
-        height_second[second == len(points) - 1] = join_height
-    is_over, one, other = height_first > height_second, first + along_first, second + along_second
+        other_height[joins[found]] = join_height
+    is_over = height > other_height
     return Crossings(np.where(is_over, one, other), np.where(is_over, other, one))
 
 
@@ -78,9 +77,7 @@ def determinant(closed: Crossings) -> int:
     return round(abs(float(np.linalg.det(equations[1:, 1:]))))
 
 
-def _intersections(
-    begins: Points, steps: Points, other_begins: Points, other_steps: Points
-) -> tuple[Numbers, Numbers]:
+def _intersections(begins: Points, steps: Points, other_begins: Points, other_steps: Points) -> tuple[Numbers, Numbers]:
     """Returns where lines meet, as shares of their steps; not finite where they are parallel."""
     apart = other_begins - begins
     with np.errstate(divide="ignore", invalid="ignore"):

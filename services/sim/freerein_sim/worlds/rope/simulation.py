@@ -15,7 +15,8 @@ from freerein_sim.worlds.rope.spec import LINK_M, LINKS, RADIUS_M, REACH_M, SPEC
 from freerein_sim.worlds.world import Action, GroundTruth, StepResult, check_actions, skill_indices
 
 CATCH_M = 0.025
-"""Horizontal distance from a pick within which the middle of a link is caught: half a diagonal of a 16 x 16 grid."""
+"""Distance from a pick within which the middle of a link is caught, horizontally: half the diagonal of a cell of a grid
+of 20 x 20 is 2.3 cm."""
 
 LEAST_M = 0.005
 """Displacements that are shorter move nothing."""
@@ -108,7 +109,7 @@ class RopeWorld(MujocoWorld):
         """Ties a link to the hand, lifts it, brings it to x, y, and lets go; returns whether that diverged."""
         points = self.points
         at = (points[link] + points[link + 1]) / 2
-        above = at + (0, 0, _LIFT_M)
+        above = at + np.array([0, 0, _LIFT_M])
         there = np.array([*place, above[2]])
         carry_s = float(np.linalg.norm(there - above)) / _CARRY_M_PER_S
         ways = ((at, above, _LIFT_S), (above, there, carry_s), (there, np.array([*place, _DROP_M]), _LIFT_S))

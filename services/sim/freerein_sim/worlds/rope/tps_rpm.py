@@ -71,7 +71,7 @@ def _matches(warped: Points, data: Points, temperature: float) -> npt.NDArray[np
     for _ in range(_SINKHORN_ITERATIONS):
         matches = matches / (matches.sum(axis=0) + np.finfo(float).tiny) * (len(warped) / len(data))
         matches = matches / (matches.sum(axis=1, keepdims=True) + np.finfo(float).tiny)
-    return matches
+    return np.asarray(matches)
 
 
 class _Spline:
