@@ -143,7 +143,7 @@ def test_episodes_begin_with_curves_in_reach_that_do_not_cross() -> None:
             assert not len(crossings(np.column_stack([drawn, 0 * drawn[:, 0]])).over)
 
 
-@pytest.mark.parametrize("actions", [60, pytest.param(2000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("actions", [30, pytest.param(2000, marks=pytest.mark.long)])
 def test_exploration_leaves_the_rope_on_the_table_and_makes_no_knot(world: RopeWorld, actions: int) -> None:
     rng = np.random.default_rng(0)
     for action in range(actions):

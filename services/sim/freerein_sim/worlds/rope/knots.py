@@ -49,15 +49,14 @@ def crossings(points: Points, *, join_height: float | None = None) -> Crossings:
     begins, steps = corners[:-1], np.diff(corners, axis=0)
     first, second = np.triu_indices(len(steps), 2)
     along_first, along_second = _intersections(begins[first], steps[first], begins[second], steps[second])
-    joins = second == len(points) - 1
-    found = (along_first > 0) & (along_first < 1) & (along_second > 0) & (along_second < 1) & ~(joins & (first == 0))
-    one, other = (first + along_first)[found], (second + along_second)[found]
-    height = (begins[first, 2] + along_first * steps[first, 2])[found]
-    other_height = (begins[second, 2] + along_second * steps[second, 2])[found]
+    is_join = second == len(points) - 1
+    found = (along_first > 0) & (along_first < 1) & (along_second > 0) & (along_second < 1) & ~(is_join & (first == 0))
+    at, other_at = (first + along_first)[found], (second + along_second)[found]
+    height, other_height = (np.interp(each, np.arange(len(corners)), corners[:, 2]) for each in (at, other_at))
     if join_height is not None:
-        other_height[joins[found]] = join_height
+        other_height[is_join[found]] = join_height
     is_over = height > other_height
-    return Crossings(np.where(is_over, one, other), np.where(is_over, other, one))
+    return Crossings(np.where(is_over, at, other_at), np.where(is_over, other_at, at))
 
 
 def determinant(closed: Crossings) -> int:
