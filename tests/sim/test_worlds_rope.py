@@ -127,10 +127,11 @@ def test_a_state_after_picks_is_restored_bit_for_bit(world: RopeWorld) -> None:
     for _ in range(3):
         snapshot, chosen = world.snapshot(), expert.act()
         assert chosen is not None
-        world.step(chosen.action)
+        action = chosen.action
+        world.step(action)
     with closing(TASKS[0].make()) as other:
         other.restore(snapshot)
-        other.step(chosen.action)
+        other.step(action)
 
         assert other.snapshot() == world.snapshot()
 
