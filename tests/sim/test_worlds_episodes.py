@@ -104,7 +104,7 @@ class Walk:
 
 
 def test_a_task_names_its_explorer_and_a_trajectory_ends_where_a_manoeuvre_begins() -> None:
-    task = replace(grid.TASKS[0], explorer=lambda _action, rng: Walk(int(rng.integers(1, 6))))
+    task = replace(grid.TASKS[0], explorer=lambda _world, rng: Walk(int(rng.integers(1, 6))))
     lengths = []
     with closing(task.make()) as world:
         for first in range(12):

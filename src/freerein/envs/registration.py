@@ -12,7 +12,7 @@ _PUSH = tuple(f"push.{first}-close-to-{second}" for first, second in _PAIRS if (
 TASKS = (
     *("bins", "bins.uneven", "blocks", "blocks.scatter", "dial", "dial.uneven", "doom", "doom.b", "doom.v1", "doom.v2"),
     *("grid", "grid-no-indicator", "office", "office.2", "office.3", "office.4", "pendulum", "push", "push.scatter"),
-    *("tabletop", "tabletop.only-own-objects"),
+    *("rope", "tabletop", "tabletop.only-own-objects"),
     *(*_BLOCKS, *_PUSH),
 )
 """The tasks that come with freerein."""

@@ -59,7 +59,7 @@ def _act(
     if recipe is not None:
         return record_expert(world, recipe, rng, cameras=views)
     world.reset(rng)
-    policy = (task.explorer or SmoothRandomPolicy)(world.spec.action, rng)
+    policy = task.explorer(world, rng) if task.explorer else SmoothRandomPolicy(world.spec.action, rng)
     return record_episode(world, policy, cameras=views, max_steps=world.spec.max_episode_steps)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from freerein.types.common import ActionSpec
-from freerein_sim.worlds.world import NO_SKILL, LabelledAction
+from freerein_sim.worlds.world import NO_SKILL, LabelledAction, UnsavedWorld
 
 
 @dataclass(frozen=True)
@@ -45,3 +45,8 @@ class RepeatedChoices:
     def succeeded(self) -> bool:
         """Returns True."""
         return True
+
+
+def repeat_choices(repeats: Sequence[Repeats], world: UnsavedWorld, rng: np.random.Generator) -> RepeatedChoices:
+    """Returns an explorer of a world; see `RepeatedChoices`."""
+    return RepeatedChoices(repeats, world.spec.action, rng)

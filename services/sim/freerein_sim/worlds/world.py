@@ -119,8 +119,8 @@ class MakeExpert(Protocol):
 class MakeExplorer(Protocol):
     """Makes what acts in self-supervised exploration."""
 
-    def __call__(self, action: ActionSpec, rng: np.random.Generator, /) -> ScriptedPolicy:
-        """Returns a policy that chooses actions by `rng` alone.
+    def __call__(self, world: "UnsavedWorld", rng: np.random.Generator, /) -> ScriptedPolicy:
+        """Returns a policy that chooses actions by `rng`, and by what a robot's own sensors tell of the world.
 
         Its `act` returns None where a manoeuvre begins that is no action of the robot, such as backing up after a
         crash: the trajectory ends there. Its first call returns an action.

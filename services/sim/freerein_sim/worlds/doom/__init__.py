@@ -14,7 +14,7 @@ from freerein_sim.worlds.doom.maps import DoomMap
 from freerein_sim.worlds.doom.predicates import predicates_of
 from freerein_sim.worlds.doom.spec import EXPLORATION, spec_of, start_conditions
 from freerein_sim.worlds.recipes import RandomOrder
-from freerein_sim.worlds.repeated_choices import RepeatedChoices
+from freerein_sim.worlds.repeated_choices import repeat_choices
 from freerein_sim.worlds.replay import ReplayedWorld
 from freerein_sim.worlds.walkable_grid import WalkableGrid
 from freerein_sim.worlds.world import TaskDefinition, World
@@ -47,7 +47,7 @@ def _task(name: str, doom_map: DoomMap) -> TaskDefinition:
         start_conditions(doom_map.spots),
         RandomOrder(most=1),
         VERSION,
-        partial(RepeatedChoices, EXPLORATION),
+        partial(repeat_choices, EXPLORATION),
     )
 
 

@@ -12,7 +12,7 @@ from freerein_sim.worlds.office.predicates import predicates_of
 from freerein_sim.worlds.office.spec import CONDITIONS, EXPLORATION, SPEC
 from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.recipes import RandomOrder
-from freerein_sim.worlds.repeated_choices import RepeatedChoices
+from freerein_sim.worlds.repeated_choices import repeat_choices
 from freerein_sim.worlds.world import TaskDefinition, World
 
 VERSION = 1
@@ -37,7 +37,7 @@ def _task(floor: str) -> TaskDefinition:
         CONDITIONS,
         RandomOrder(most=1),
         version=VERSION,
-        explorer=partial(RepeatedChoices, EXPLORATION),
+        explorer=partial(repeat_choices, EXPLORATION),
     )
 
 
