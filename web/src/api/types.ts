@@ -39,6 +39,7 @@ export interface ActionSpec {
   unit: string;
   scale: readonly number[];
   absolute: boolean;
+  hold: number | null;
 }
 
 export interface ActivateModelRequest {
