@@ -14,6 +14,7 @@ EXPERIMENTS = (
     "table_2_4",
     "fig_2_3",
     "robustness",
+    "teachers",
     "first_session",
     "demo",
     "smoke",
