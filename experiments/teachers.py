@@ -1,4 +1,4 @@
-"""The 18 teachers of chapter 4: a policy for each relation of an ordered pair of three colours, by PPO on a learned reward.
+"""The 18 teachers of chapter 4: policies for each relation of two of three colours, by PPO on a learned reward.
 
 Blocks begin as the task has them; in half of the training episodes the gripper begins near the block that it moves.
 """
