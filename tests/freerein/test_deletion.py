@@ -378,7 +378,7 @@ def test_a_recording_deletes_nothing_of_a_dataset_that_has_no_trajectories(tmp_p
     (root / "recording.json").write_text('{"seed": 1}')
     (root / "notes.txt").write_text("of the user")
     (root / "data/chunk-000").rename(root / "data/moved")
-    for spec, request in ((SPEC, {"seed": 2}), (replace(SPEC, fps=20), {"seed": 1})):
+    for spec, request in ((SPEC, {"seed": 2}), (replace(SPEC, fps=20, control_dt_s=0.05), {"seed": 1})):
         with pytest.raises(FailedPrecondition), recording(root, spec, request):
             pass
     with recording(root, SPEC, {"seed": 1}):

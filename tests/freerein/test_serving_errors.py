@@ -26,7 +26,7 @@ async def never(_request: Any) -> Any:
     raise AssertionError
 
 
-CORE = SimpleNamespace(reward=never, ground=never, describe=never, embed_goal=never)
+CORE = SimpleNamespace(reward=never, reward_stream=never, ground=never, describe=never, embed_goal=never)
 METHODS = methods_of(reward_pb2.DESCRIPTOR.services_by_name["RewardService"], CORE)
 LONG = pytest.mark.parametrize("character", ["x", '"', "\\", "\n", "\x01", "é", "\u2028", "\U0001f600"], ids=ascii)
 

@@ -178,6 +178,7 @@ def test_a_run_is_queued_runs_and_succeeds_and_a_watcher_may_come_back_for_the_r
         "metrics": {"loss": 0.2},  # without what was not finite
         "model": None,
         "error": "",
+        "truth": "",
         "time_ns": events[-1]["time_ns"],
     }
     assert [event["time_ns"] for event in events] == sorted(event["time_ns"] for event in events)
