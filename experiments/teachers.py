@@ -30,6 +30,9 @@ SEEN, UNSEEN = "seen", "unseen"
 STARTS: Mapping[str, Mapping[str, Any]] = {SEEN: {}, UNSEEN: {"conditions": ["start-unseen"]}}
 """What evaluations begin with: blocks within the interval that training has, and within twice that."""
 
+_CARRY_WEIGHT = 1.0
+"""Of shaping by how near the first block is to its place."""
+
 _METHOD, _VERSION, _EPISODES, _PER_CENT = "ppo", 1, 100, 100
 _LEAST_MEAN, _LEAST_WORST = 75.0, 40.0
 _HEADER = ("task", "seed", *(f"{starts} starts, % of the expert" for starts in STARTS), "minutes")
@@ -71,7 +74,7 @@ class Teachers(Experiment):
 def _steps(arm: Arm) -> list[Step]:
     policy = {"policy": {"run": "ppo"}, "baseline": "random", "episodes": _EPISODES}
     return [
-        step("ppo", "ppo", task=arm.world, conditions=[NEAR], seed=arm.seed),
+        step("ppo", "ppo", task=arm.world, conditions=[NEAR], carry_weight=_CARRY_WEIGHT, seed=arm.seed),
         *(evaluate("returns", name, task=arm.world, **policy, **starts) for name, starts in STARTS.items()),
     ]
 

@@ -27,7 +27,7 @@ RETURN_ALL, RETURN_WRONG_ORDER = "return.all", "return.wrong-order"
 
 GOAL_CLONING, GOAL_CLONING_AUGMENTED, GOAL_CONDITIONED = "goal_cloning", "goal_cloning_augmented", "goal_conditioned"
 SKILLS, SKILLS_AUGMENTED, EXPERT = "skills", "skills_augmented", "expert"
-PPO, PPO_NEAR = "ppo_training", "ppo_near"
+PPO, PPO_NEAR, PPO_NEAR_CARRY = "ppo_training", "ppo_near", "ppo_near_carry"
 PPO_OWN_STARTS, PPO_PRACTICE = "ppo_own_starts", "ppo_practice"
 PPO_AUGMENTED = "ppo_augmented"
 LANGUAGE, LANGUAGE_DONE, LANGUAGE_DONE_AT_ONCE = "language", "language_done", "language_done_at_once"
@@ -43,6 +43,7 @@ _STARTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         PPO: {"conditions": [CURRICULUM], "augmentation": 0.0},
         PPO_AUGMENTED: {"conditions": [CURRICULUM]},
         PPO_NEAR: {"conditions": [NEAR], "augmentation": 0.0},
+        PPO_NEAR_CARRY: {"conditions": [NEAR], "carry_weight": 1.0, "augmentation": 0.0},
         PPO_OWN_STARTS: {"conditions": [], "augmentation": 0.0},
         PPO_PRACTICE: {"conditions": [], "practice_share": 0.5, "augmentation": 0.0},
     }
@@ -254,6 +255,7 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
         PPO: _REINFORCED,
         PPO_AUGMENTED: _REINFORCED,
         PPO_NEAR: _REINFORCED,
+        PPO_NEAR_CARRY: _REINFORCED,
         PPO_OWN_STARTS: _REINFORCED,
         PPO_PRACTICE: _REINFORCED,
         LANGUAGE: PolicyArm(language.obey, _samples(language.sentence_samples)),

@@ -106,8 +106,7 @@ def test_shaping_adds_to_the_return_of_an_episode_only_what_its_ends_are_worth()
     network = init_network(ActorCriticSpec(vector_size=2), generator)
     rollout, _ = collect(network, envs, CollectorState.init(envs, network, generator), num_steps=5)
 
-    config = PPOConfig(gamma=0.9, approach_weight=2)
-    shaping = Shaping(lambda observations: observations[..., 0], config).rewards(rollout) / 2
+    shaping = Shaping(lambda observations: observations[..., 0], PPOConfig(gamma=0.9)).rewards(rollout)
 
     returns = (shaping[:3] * 0.9 ** torch.arange(3)[:, None]).sum(dim=0)  # each episode ends after three timesteps
     first, last = rollout.observations[0, :, 0], torch.from_numpy(envs.final)[:, 0]

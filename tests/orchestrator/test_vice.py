@@ -40,7 +40,7 @@ def data_dir(tmp_path: Path) -> Path:
 
 def reward(data_dir: Path, dataset: str = "won", camera: Camera = CAMERA) -> ViceReward:
     service: Any = None  # it needs none
-    return ViceReward(RewardSetting(PPOConfig(), "", (camera,), ModelRef(), service, data_dir, dataset))
+    return ViceReward(RewardSetting(PPOConfig(), "", "", (camera,), ModelRef(), service, data_dir, dataset))
 
 
 def test_frames_like_the_last_ones_of_the_dataset_earn_1_and_others_0(data_dir: Path) -> None:

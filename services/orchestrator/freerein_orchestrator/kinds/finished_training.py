@@ -14,7 +14,7 @@ from freerein_orchestrator.rl.config import PPOConfig
 
 _OWN = {"iterations", "init_from", "resume_from", "threads"}
 _UPDATE = {"lr", "gamma", "gae_lambda", "clip_range", "ent_coef", "vf_coef", "init_log_std", "final_log_std"}
-_FREE = {*_OWN, *_UPDATE, "approach_weight"}
+_FREE = {*_OWN, *_UPDATE, "approach_weight", "carry_weight"}
 """Keys of the configuration that shape no state."""
 
 

@@ -128,10 +128,10 @@ def session_request(config: PPORunConfig) -> CreateSessionRequest:
 class _Training:
     """The environments and rewards of a run.
 
-    The state's `inputs` are what a run is bound to when it starts: `goal_text`, `camera`, `cameras`, `reward_cameras`,
-    `model` (name and version of the reward model; empty without one), `eye` (those of the one whose encoder the policy
-    sees with; empty without), the number of `sims`, the initial policy's sha256 and supervision (`init`), and whether
-    any of that is `privileged`.
+    The state's `inputs` are what a run is bound to when it starts: `goal_text`, `caption` (the goal as the eye's reward
+    model reads it; empty without an eye), `camera`, `cameras` and `reward_cameras`, `model` (name and version of the
+    reward model; empty without one), `eye` (those of the one whose encoder the policy sees with; empty without), the
+    number of `sims`, the initial policy's sha256 and supervision (`init`), and whether any of that is `privileged`.
     """
 
     def __init__(self, context: RunContext, config: PPORunConfig) -> None:
@@ -165,9 +165,11 @@ class _Training:
             gray=config.gray,
         )
         policy = self._context.policies.load(config.init_from, field=_FIELD) if config.init_from else None
-        setting = self._setting(goal_text, cameras.reward, ModelRef(config.reward_model))
+        caption = encoder.caption if encoder else ""
+        setting = self._setting(goal_text, caption, cameras.reward, ModelRef(config.reward_model))
         inputs: dict[str, JSON] = {
             "goal_text": goal_text,
+            "caption": caption,
             **cameras.to_inputs(),
             "model": asdict(self._entry.resolve_model(setting)),
             "eye": {} if eye is None else asdict(eye),
@@ -236,13 +238,14 @@ class _Training:
     def _make_rewards(self, network: ActorCritic, inputs: Mapping[str, JSON]) -> Sequence[Reward]:
         """Returns the untrained rewards of a training with these inputs."""
         bound, cameras = cast(dict[str, Any], inputs), ObservedCameras.of_inputs(inputs, network.spec)
-        setting = self._setting(bound["goal_text"], cameras.reward, ModelRef(**bound["model"]))
+        caption = bound.get("caption", "")  # earlier versions had none
+        setting = self._setting(bound["goal_text"], caption, cameras.reward, ModelRef(**bound["model"]))
         return make_rewards(self._entry, setting, network)
 
-    def _setting(self, goal_text: str, cameras: tuple[Camera, ...], model: ModelRef) -> RewardSetting:
+    def _setting(self, goal_text: str, caption: str, cameras: tuple[Camera, ...], model: ModelRef) -> RewardSetting:
         config, context = self._config, self._context
         service = context.client("reward")
-        return RewardSetting(config, goal_text, cameras, model, service, context.data_dir, config.dataset)
+        return RewardSetting(config, goal_text, caption, cameras, model, service, context.data_dir, config.dataset)
 
     def _open_envs(
         self, reward_fn: RewardFn, cameras: ObservedCameras, snapshots: Sequence[bytes]

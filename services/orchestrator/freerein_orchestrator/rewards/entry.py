@@ -21,6 +21,7 @@ class RewardSetting:
     Attributes:
         config: Hyperparameters of the training.
         goal_text: The goal in words.
+        caption: The goal as the reward model of the policy's eye reads it; empty without an eye.
         cameras: The cameras of the frames, and their sizes.
         model: The reward model; without a version until the training begins.
         service: Client of the reward service.
@@ -30,6 +31,7 @@ class RewardSetting:
 
     config: PPOConfig
     goal_text: str
+    caption: str
     cameras: tuple[Camera, ...]
     model: ModelRef
     service: SyncClient

@@ -1,4 +1,6 @@
-"""Reward `shaping`: potential-based reward shaping (Ng et al. 1999), by how near an eye sees the body to an object.
+"""Reward `shaping`: potential-based reward shaping (Ng et al. 1999), by places that an eye sees.
+
+They tell how near the body is to the object that the goal moves, and how near that object is to its place.
 
     F(s, s') = gamma * Phi(s') - Phi(s)
 
@@ -11,6 +13,7 @@ from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCritic
+from freerein_orchestrator.rewards.carrying import goal_place, nearness
 from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.reward import Reward
@@ -18,11 +21,11 @@ from freerein_orchestrator.rl.rollout import RolloutBuffer
 
 
 class Shaping(Reward):
-    """Rewards an approach at once.
+    """Rewards an approach, and carrying, at once.
 
     Args:
         potential: Phi of observations as the network takes them, (..., D) -> (...); that of a terminal state is 0.
-        config: Has the discount factor, and the weight.
+        config: Has the discount factor.
     """
 
     def __init__(self, potential: Callable[[Tensor], Tensor], config: PPOConfig) -> None:
@@ -30,15 +33,23 @@ class Shaping(Reward):
         self._config = config
 
     def rewards(self, rollout: RolloutBuffer) -> Tensor:
-        """Returns the weighted F of each timestep, float32 (T, N)."""
+        """Returns F of each timestep, float32 (T, N)."""
         after = self._potential(rollout.next_observations) * ~rollout.terminated
-        return self._config.approach_weight * (self._config.gamma * after - self._potential(rollout.observations))
+        return self._config.gamma * after - self._potential(rollout.observations)
 
 
 def _make(setting: RewardSetting, network: ActorCritic) -> Shaping:
     if network.eye is None:
         raise InvalidInput("Shaping needs the encoder `goal_eye`.", field="config.encoder")
-    return Shaping(network.eye.nearness, setting.config)
+    eye, config, place = network.eye, setting.config, goal_place(setting.caption)
+
+    def potential(features: Tensor) -> Tensor:
+        value = config.approach_weight * eye.nearness(features)
+        if config.carry_weight and place is not None:
+            value = value + config.carry_weight * nearness(eye.offset(features), place)
+        return value
+
+    return Shaping(potential, config)
 
 
 SHAPING = RewardEntry(

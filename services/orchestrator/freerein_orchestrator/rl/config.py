@@ -62,6 +62,8 @@ class PPOConfig:
         final_log_std: The last iteration's, which falls to it linearly; None for one that is learned.
         approach_weight: Weight of potential-based shaping by how near the body is to the goal's first object, in object
             widths; unused without an eye.
+        carry_weight: The same by how near the goal's first object is to where the goal has it, along a way over the top
+            of the second.
         explorations: Short sequences of random actions in each environment that an eye is fitted to; unused without.
         augmentation: Strength of the augmentation of their frames, by light and things that come and go; 0 for none.
         seed: Seed of the learner; environments have their own.
@@ -90,6 +92,7 @@ class PPOConfig:
     init_log_std: float = bounded(-1.2, least=-5.0, most=2.0)
     final_log_std: float | None = bounded_or_none(-2.0, least=-5.0, most=2.0)
     approach_weight: float = bounded(1.0, least=0.0, most=100.0)
+    carry_weight: float = bounded(0.0, least=0.0, most=100.0)
     explorations: int = bounded(40, least=1, most=1000)
     augmentation: float = bounded(1.0, least=0.0, most=1.0)
     seed: int = bounded(0, least=0, most=2**31 - 1)

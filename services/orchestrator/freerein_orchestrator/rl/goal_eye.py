@@ -33,10 +33,12 @@ class ObjectEncoder:
     """An encoder that locates the two objects of a goal.
 
     Attributes:
+        caption: The goal, as the reward model reads it.
         spec: What the eye looks for.
         weights: By name.
     """
 
+    caption: str
     spec: EyeSpec
     weights: Mapping[str, Tensor]
 
@@ -77,7 +79,7 @@ def load_object_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> O
             field="config.reward_model",
             hint="Choose another reward model for the encoder, or the encoder `spatial`.",
         )
-    return ObjectEncoder(EyeSpec(image, first, second), weights)
+    return ObjectEncoder(goal_caption, EyeSpec(image, first, second), weights)
 
 
 def fit_eye(

@@ -95,6 +95,10 @@ class GoalEye(nn.Module):
         near: Tensor = (_REACH - offset.norm(dim=-1)).clamp(min=0)
         return near
 
+    def offset(self, features: Tensor) -> Tensor:
+        """Returns the first object's offset from the second, in object widths to the right and up, (..., 2)."""
+        return features[..., self._action_size + 4 : self._action_size + 6]
+
     def locate(self, frames: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the objects' places, float32 (N, 2, 2), to the right and up in [-1, 1], and presences (N, 2)."""
         keypoints = self.objects.relation_pool.keypoints(self.objects.feature_maps(frames))[:, self._pair]
