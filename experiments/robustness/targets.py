@@ -307,7 +307,7 @@ TARGETS = (
         )
         for method, begin in (
             (policies.PPO_NEAR, "as the task does, in half of them with the gripper near the block"),
-            (policies.PPO_NEAR_CARRY, "so, and whose reward is shaped by carrying"),
+            (policies.PPO_NEAR_CARRY, "so, with a reward that carrying shapes"),
             (policies.PPO_OWN_STARTS, "as the task does"),
             (policies.PPO_PRACTICE, "as the task does, and some where others were on their way to a reward"),
         )
