@@ -10,6 +10,9 @@ import pytest
 from freerein.errors import InvalidInput
 from freerein_orchestrator.kinds import KINDS, find_kind
 from freerein_orchestrator.kinds.config_schemas import run_config_schema
+from freerein_orchestrator.kinds.policy_store import PolicyStore
+
+TOLD = "8" * 32
 
 FIT = {"service": "imitation", "dataset": "play", "config": {"steps": 30}}
 CONFIGS: dict[str, tuple[dict[str, Any], int]] = {
@@ -57,17 +60,24 @@ def test_a_configuration_survives_json_and_says_how_many_steps_there_are(kind: s
         ("evaluate", {"task": "grid", "policy": "random"}, "to measure"),
         ("skills", {"task": "grid"}, "to measure"),
         ("collect", {"task": "grid", "dataset": "play"}, ""),
+        ("ppo", {"task": "grid", "init_from": TOLD}, "told the truth"),
+        ("ppo", {"task": "grid", "resume_from": TOLD}, "told the truth"),
+        ("ppo", {"task": "grid", "init_from": "deleted"}, ""),
+        ("distill", {"teachers": ["deleted", TOLD]}, "told the truth"),
     ],
 )
 def test_a_run_says_what_of_the_truth_it_is_told_in_a_pipeline_too(
-    kind: str, values: dict[str, Any], words: str
+    kind: str, values: dict[str, Any], words: str, tmp_path: Path
 ) -> None:
-    chosen = KINDS[kind]
-    told = chosen.truth(chosen.dump(chosen.parse(values)))
+    card = tmp_path / "runs" / TOLD / "artifacts" / "policy.json"
+    card.parent.mkdir(parents=True)
+    card.write_text(json.dumps({"privileged": True, "supervision": "told the truth"}))
+    store, chosen = PolicyStore.open(tmp_path, {}), KINDS[kind]
+    told = chosen.truth(chosen.dump(chosen.parse(values)), store)
     assert (words in told, bool(told)) == (True, bool(words))
     steps = {"steps": [{"name": "one", "kind": kind, "config": values}]}
     if kind != "skills":
-        assert KINDS["pipeline"].truth(steps) == told
+        assert KINDS["pipeline"].truth(steps, store) == told
 
 
 @pytest.mark.parametrize(

@@ -70,8 +70,9 @@ def build(
         executor_id=settings.executor_id,
     )
     resolve_here = partial(resolve, data_dir=settings.data_dir)
-    unused = partial(_check_unused, settings)
-    runs = RunService(store, queue, resolve=resolve_here, health=health, truth=truth, check_unused=unused)
+    policies, unused = PolicyStore.open(settings.data_dir, os.environ), partial(_check_unused, settings)
+    told = partial(truth, policies)
+    runs = RunService(store, queue, resolve=resolve_here, health=health, truth=told, check_unused=unused)
     datasets = DatasetService(settings.data_dir)
     client = make_client(limits, token=settings.token_text, certificate=os.environ.get("FREEREIN_TLS_CERT"))
     passed_on = [PassedOn(service, rest_url(service, os.environ), client) for service in CALLS]
@@ -109,9 +110,9 @@ def resolve(kind: str, config: Mapping[str, Any], data_dir: Path) -> Resolved:
     return Resolved(chosen.dump(parsed), chosen.steps(parsed))
 
 
-def truth(kind: str, config: Mapping[str, Any]) -> str:
+def truth(policies: PolicyStore, kind: str, config: Mapping[str, Any]) -> str:
     """Returns what a run is told that no learner may see; empty for nothing, or a kind that there is no longer."""
-    return KINDS[kind].truth(config) if kind in KINDS else ""
+    return KINDS[kind].truth(config, policies) if kind in KINDS else ""
 
 
 if __name__ == "__main__":

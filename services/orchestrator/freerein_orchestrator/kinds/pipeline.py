@@ -107,8 +107,8 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
                 kinds[step.kind].check(step.config, store, earlier)
             earlier.append(step.name)
 
-    def truth(config: Mapping[str, Any]) -> str:
-        told = [kinds[step["kind"]].truth(step["config"]) for step in config["steps"] if step["kind"] in kinds]
+    def truth(config: Mapping[str, Any], store: PolicyStore) -> str:
+        told = [kinds[step["kind"]].truth(step["config"], store) for step in config["steps"] if step["kind"] in kinds]
         return "; ".join(filter(None, dict.fromkeys(told)))
 
     meaning = "Does runs of other kinds in order, as steps of one run."

@@ -9,6 +9,7 @@ from pathlib import Path
 from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput, NotFound
 from freerein.learning.actor_critic.policy_files import NAMES, StoredPolicy, load_policy
+from freerein.learning.model_files import read_card
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef, check_name
 
@@ -64,6 +65,14 @@ class PolicyStore:
         if not (folder / NAMES.card).is_file():
             raise no_policy(field=field, hint="Name a ppo run that has succeeded.")
         return folder
+
+    def privileged_supervision(self, name: str) -> str:
+        """Returns the supervision of a policy that is privileged; empty for another, and where there is none."""
+        try:
+            card = read_card(self.folder(name, field="policy"), names=NAMES)
+        except InvalidInput:
+            return ""
+        return str(card["supervision"]) if card.get("privileged") is True else ""
 
     def model_folder(self, ref: ModelRef, *, field: str) -> Path:
         """Returns the folder of a stored policy; without a version, of its active one.

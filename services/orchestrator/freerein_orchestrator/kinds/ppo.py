@@ -95,10 +95,12 @@ def check(config: PPORunConfig, store: PolicyStore, earlier: Collection[str]) ->
         find_training(store, config.resume_from, config, field=RESUME_FIELD)
 
 
-def truth(config: Mapping[str, Any]) -> str:
-    """Returns the supervision by a reward that is privileged; empty for another."""
+def truth(config: Mapping[str, Any], store: PolicyStore) -> str:
+    """Returns the supervision by a reward that is privileged, else of a privileged policy to begin with; or nothing."""
     entry = REWARDS.get(config.get("reward", ""))
-    return entry.supervision if entry is not None and entry.privileged else ""
+    if entry is not None and entry.privileged:
+        return entry.supervision
+    return store.privileged_supervision(config.get("init_from") or config.get("resume_from") or "")
 
 
 KIND = Kind(

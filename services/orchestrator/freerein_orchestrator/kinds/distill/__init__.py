@@ -116,6 +116,11 @@ def check(config: DistillConfig, store: PolicyStore, earlier: Collection[str]) -
         _check_teachers(config, found)
 
 
+def truth(config: Mapping[str, Any], store: PolicyStore) -> str:
+    """Returns the supervision of the teachers that are privileged; empty without any."""
+    return "; ".join(filter(None, dict.fromkeys(map(store.privileged_supervision, config["teachers"]))))
+
+
 def run(context: RunContext, config: DistillConfig) -> None:
     """Records the rollouts, then fits; killed at any moment, it resumes to the same dataset and the same model.
 
@@ -178,6 +183,7 @@ KIND = Kind(
     steps,
     run,
     check,
+    truth=truth,
     meaning="Clones policies for one task each into one policy that follows sentences.",
 )
 

@@ -88,6 +88,6 @@ KIND = Kind(
     steps=lambda config: config.episodes,
     run=run,
     check=check,
-    truth=lambda _: "true states, which are privileged: to measure",
+    truth=lambda _config, _store: "true states, which are privileged: to measure",
     meaning="Measures policies and models against true states, which only an evaluation may see.",
 )
