@@ -17,7 +17,7 @@ COMMANDS = {
     "act": "Ask a policy for the next actions towards goal images, a recipe of skills, or a goal text.",
     "sim": "List simulated tasks and record demonstrations.",
     "fit": "Start a fit of a model.",
-    "run": "Start a run, which survives crashes: collect, fit, label, ppo, distill, evaluate, pipeline or skills.",
+    "run": "Start a run, which survives crashes: collect, fit, label, ppo, distill, evaluate, pipeline, skills, zsrm.",
     "jobs": "Fits and runs: list, watch, resume and delete them.",
     "dataset": "Import, inspect, check, annotate and export datasets.",
     "models": "Models of the segmentation, imitation and reward services.",

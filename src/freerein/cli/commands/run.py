@@ -17,7 +17,7 @@ app = typer.Typer(add_completion=False)
 
 
 _Kind = Annotated[
-    str, typer.Argument(metavar="KIND", help="collect, fit, label, ppo, distill, evaluate, pipeline or skills.")
+    str, typer.Argument(metavar="KIND", help="collect, fit, label, ppo, distill, evaluate, pipeline, skills, zsrm.")
 ]
 _Config = Annotated[Path | None, typer.Option(metavar="FILE.json", help="Configuration file; --set overrides it.")]
 _Key = Annotated[str, typer.Option(help="Idempotency key: the same key and configuration is the same run.")]
@@ -34,7 +34,7 @@ def run(
     watch: Watch = False,
     as_json: AsJson = False,
 ) -> None:
-    """Start a run, which survives crashes: collect, fit, label, ppo, distill, evaluate, pipeline or skills.
+    """Start a run, which survives crashes: collect, fit, label, ppo, distill, evaluate, pipeline, skills, zsrm.
 
     `freerein run KIND --help` has the keys of one kind.
     """

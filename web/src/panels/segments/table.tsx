@@ -24,7 +24,7 @@ export function SegmentTable({ editor }: { editor: Editor }) {
             <tr>
               <th scope="col">Skill</th>
               <th scope="col">Begin</th>
-              <th scope="col">End</th>
+              <th scope="col" class="end">End</th>
               <th scope="col">
                 <abbr title="Mean confidence of its timesteps">Conf.</abbr>
               </th>
@@ -81,7 +81,7 @@ function Row({ editor, index, segment }: { editor: Editor; index: number; segmen
           }
         />
       </td>
-      <td class="number" title={`${timeOf(recording, segment.end).toFixed(2)} s`}>
+      <td class="number end" title={`${timeOf(recording, segment.end).toFixed(2)} s`}>
         {segment.end}
       </td>
       <td class="number">{confidence === null ? "–" : confidence.toFixed(2)}</td>
