@@ -28,7 +28,7 @@ from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.jobs.child import stop_on_sigterm
 from freerein.learning.checkpoints import JSON
-from freerein.learning.fit import FitResult, fit
+from freerein.learning.fit import FitResult, TrainingFailed, fit
 from freerein.learning.learner import Learner
 from freerein.learning.model_files import choose_device
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
@@ -41,6 +41,7 @@ _SHOWN = 4
 _LABELLED: tuple[SplitName, ...] = ("train", "validation")
 
 Fitted = FitResult[SegmentationNetwork]
+WorkbenchLearner = SegmentationLearner | supervised.SupervisedLearner
 
 
 @dataclass(frozen=True)
@@ -116,16 +117,17 @@ class SegmentationExperiment(Experiment):
             return None if fitted is None else fitted.validation_loss
 
         config = study.fit_config(arm)
+        lrs: list[float] | None = [config.lr]
         if study.tries_learning_rates(arm):
-            lr = trials.choose_lr(study, arm, fit_trial, results=results, work=work)
-            if lr is None:
-                return None
-            config = replace(config, lr=lr)
-        learner = _learner(study, arm, config, data)
-        fitted = _fit(learner, folder, on_progress)
+            lrs = trials.rank_lrs(study, arm, fit_trial, results=results, work=work)
+        if lrs is None:
+            return None
+        learner, fitted = fit_in_turn(
+            lambda lr: _learner(study, arm, replace(config, lr=lr), data), lrs, folder, on_progress
+        )
         if fitted is None:
             return None
-        outcome = _evaluate(study, arm, fitted, config, data)
+        outcome = _evaluate(study, arm, fitted, learner.config, data)
         if isinstance(learner, SegmentationLearner):
             outcome = _joined([outcome, evaluation.score_confidence(learner.confidence(fitted))])
             command = f"python -m experiments run {self.report.experiment} --only {arm.name}"
@@ -143,6 +145,30 @@ class SegmentationExperiment(Experiment):
         return study
 
 
+def fit_in_turn(
+    make_learner: Callable[[float], WorkbenchLearner],
+    lrs: Sequence[float],
+    folder: Path,
+    on_progress: Callable[[], None],
+) -> tuple[WorkbenchLearner, Fitted | None]:
+    """Fits with the first learning rate with which training does not fail.
+
+    Returns:
+        The learner, and what it found; None for the latter when the fit was stopped.
+
+    Raises:
+        TrainingFailed: Training fails with all.
+    """
+    lr, *others = lrs
+    try:
+        learner = make_learner(lr)
+        return learner, _fit(learner, folder / f"lr-{lr:g}", on_progress)
+    except TrainingFailed:
+        if not others:
+            raise
+        return fit_in_turn(make_learner, others, folder, on_progress)
+
+
 def _guess(study: Study, arm: Arm, data: Path) -> Outcome:
     guess, skills, rng = GUESSES[arm.method], len(study.data.world.skills), np.random.default_rng(arm.seed)
     parts = []
@@ -155,9 +181,7 @@ def _guess(study: Study, arm: Arm, data: Path) -> Outcome:
     return _joined(parts)
 
 
-def _learner(
-    study: Study, arm: Arm, config: SegmentationConfig, data: Path
-) -> SegmentationLearner | supervised.SupervisedLearner:
+def _learner(study: Study, arm: Arm, config: SegmentationConfig, data: Path) -> WorkbenchLearner:
     if arm.method == SUPERVISED:
         return supervised.make_learner(config, study.data, data)
     return weakly_supervised.make_learner(config, study.data, data, sees_frames=study.sees_frames(arm))

@@ -40,8 +40,8 @@ _STEP = 3
 """A rate beyond those that were tried, relative to the nearest."""
 
 
-def choose_lr(study: Study, arm: Arm, fit: Fit, *, results: Path, work: Path) -> float | None:
-    """Returns the learning rate for an arm; None when a trial was stopped.
+def rank_lrs(study: Study, arm: Arm, fit: Fit, *, results: Path, work: Path) -> list[float] | None:
+    """Returns the learning rates for an arm, without those whose trial failed, best first; None when one was stopped.
 
     Args:
         study: The arm's study.
@@ -64,7 +64,7 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, results: Path, work: Path) ->
     folder = cache_path(work / "trials", made_by)  # of all methods that differ only after their trials
     with locked(folder / "lock"):
         if path.is_file() and is_same((found := json.loads(path.read_bytes()))["made_by"], made_by):
-            return float(found["lr"])
+            return _ranked(found)
         losses: dict[float, float] = {}
         while untried := _untried(losses, study.learning_rates):
             try:
@@ -79,7 +79,7 @@ def choose_lr(study: Study, arm: Arm, fit: Fit, *, results: Path, work: Path) ->
         made = {"made_by": to_json(made_by), "validation_loss": shown, "lr": best}
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, json.dumps(made, indent=2, allow_nan=False).encode() + b"\n")
-        return best
+        return _ranked(made)
 
 
 def chosen_lr(arm: Arm, results: Path) -> float:
@@ -95,6 +95,11 @@ def chosen_lr(arm: Arm, results: Path) -> float:
             hint=f"Run: python -m experiments run {results.name} --only '{_trials_name(arm)}-seed0'.",
         )
     return float(json.loads(path.read_bytes())["lr"])
+
+
+def _ranked(made: Mapping[str, Any]) -> list[float]:
+    losses = {float(lr): loss for lr, loss in made["validation_loss"].items() if loss is not None}
+    return sorted(losses, key=lambda lr: (lr != made["lr"], losses[lr]))
 
 
 def _untried(losses: Mapping[float, float], first: Sequence[float]) -> list[float]:

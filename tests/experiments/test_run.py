@@ -282,7 +282,7 @@ def run_here(
 
 
 def newest_checkpoint(folder: Path) -> Path:
-    return max((folder / "checkpoints").iterdir())
+    return max(folder.glob("lr-*/checkpoints/*"))
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -21,6 +21,7 @@ from experiments.segmentation import (
 )
 from experiments.segmentation.dataset import DatasetSpec, SplitSpec
 from experiments.segmentation.decoded import Decoded, boundary_errors, moved
+from experiments.segmentation.experiment import WorkbenchLearner, fit_in_turn
 from experiments.segmentation.packed import pack, unpack
 from experiments.segmentation.rows import Row, Rows
 from experiments.segmentation.study import Method, Study
@@ -218,9 +219,11 @@ def test_trials_choose_the_learning_rate_of_the_lowest_loss_once_for_all_seeds(t
         fitted.append((config.lr, config.steps, config.seed))
         return losses[config.lr]
 
-    def choose(study: Study, seed: int) -> float | None:
+    def choose(study: Study, seed: int) -> float:
         arm = Arm("grid", "lse", {"context": "causal"}, seed)
-        return trials.choose_lr(study, arm, fit, results=tmp_path / "r", work=tmp_path / "w")
+        ranked = trials.rank_lrs(study, arm, fit, results=tmp_path / "r", work=tmp_path / "w")
+        assert ranked == [0.001, 0.00033, 0.01, 0.1]
+        return ranked[0]
 
     assert [choose(STUDY, seed=1), choose(STUDY, seed=0)] == [0.001, 0.001]
     assert fitted == [(0.01, 2, 0), (0.001, 2, 0), (0.1, 2, 0), (0.00033, 2, 0)]  # until the best is between others
@@ -242,9 +245,22 @@ def test_a_rate_under_which_training_fails_is_tried_and_not_chosen(tmp_path: Pat
         return 1 / config.lr
 
     arm = Arm("grid", "lse", {"context": "causal"})
-    assert trials.choose_lr(STUDY, arm, fit, results=tmp_path / "r", work=tmp_path / "w") == 0.01
+    assert trials.rank_lrs(STUDY, arm, fit, results=tmp_path / "r", work=tmp_path / "w") == [0.01, 0.001]
     (made,) = (tmp_path / "r" / "trials").glob("*.json")
     assert json.loads(made.read_bytes())["validation_loss"] == {"0.001": 1000, "0.01": 100, "0.1": None}
+
+
+def test_where_training_fails_the_next_learning_rate_is_fitted(folder: Path, tmp_path: Path) -> None:
+    def make_learner(lr: float) -> WorkbenchLearner:
+        if lr > 0.1:
+            raise TrainingFailed("An image encoder is dead.")
+        config = replace(CONFIG, lr=lr, steps=4, warmup_steps=1, evaluate_every=2, checkpoint_every=2, log_every=1)
+        return weakly_supervised.make_learner(config, DATA, folder)
+
+    learner, fitted = fit_in_turn(make_learner, [0.5, 0.02], tmp_path, lambda: None)
+    assert (learner.config.lr, fitted is not None) == (0.02, True)
+    with pytest.raises(TrainingFailed):
+        fit_in_turn(make_learner, [0.5], tmp_path, lambda: None)
 
 
 def test_a_method_with_a_learning_rate_of_its_own_tries_none() -> None:
@@ -272,14 +288,14 @@ def test_trials_end_before_the_final_objective(tmp_path: Path) -> None:
         return abs(config.lr - 0.01)
 
     study = replace(STUDY, methods=(ours,))
-    trials.choose_lr(study, study.arms[-1], fit, results=tmp_path / "r", work=tmp_path / "w")
+    trials.rank_lrs(study, study.arms[-1], fit, results=tmp_path / "r", work=tmp_path / "w")
     assert {(each.final_objective, each.action_evidence) for each in fitted} == {("none", 0.0)}
 
 
 def test_a_trial_that_was_stopped_chooses_nothing(tmp_path: Path) -> None:
     arm = STUDY.arms[-1]
-    chosen = trials.choose_lr(STUDY, arm, lambda *_: None, results=tmp_path / "r", work=tmp_path)
-    assert chosen is None
+    ranked = trials.rank_lrs(STUDY, arm, lambda *_: None, results=tmp_path / "r", work=tmp_path)
+    assert ranked is None
     assert not (tmp_path / "r").exists()
 
 
