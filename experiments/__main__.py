@@ -1,4 +1,4 @@
-"""Runs experiments and makes their tables: `python -m experiments list|run|table`; see `README.md`."""
+"""Runs experiments and makes their tables: `python -m experiments list|run|table|pack`; see `README.md`."""
 
 import argparse
 import sys
@@ -99,6 +99,14 @@ def _table(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _pack(arguments: argparse.Namespace) -> int:
+    """Packs the results of the named experiments, else of all."""
+    for name in arguments.names or registry.EXPERIMENTS:
+        registry.load(name)  # refuses an unknown one
+        results.pack(arguments.results / name)
+    return 0
+
+
 def make_table(name: str, folder: Path) -> Table | None:
     """Returns the table of an experiment's current results, which lie in `folder / name`; None without any."""
     experiment = registry.load(name)
@@ -140,7 +148,10 @@ def _parser() -> argparse.ArgumentParser:
     make = commands.add_parser("table", help="make tables of the arms that have results")
     make.add_argument("names", nargs="*", metavar="NAME", help="default: all that have results")
     make.set_defaults(command=_table)
-    for each in (show, run, make):
+    pack = commands.add_parser("pack", help="move what results have in common to one archive")
+    pack.add_argument("names", nargs="*", metavar="NAME", help="default: all experiments")
+    pack.set_defaults(command=_pack)
+    for each in (show, run, make, pack):
         each.add_argument("--results", type=Path, default=Places.results, help="folder of results")
     return parser
 
