@@ -61,7 +61,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What an evaluation measured.
+    """The measurements of an evaluation.
 
     Attributes:
         figures: Value by figure, such as `test.frame_accuracy`.

@@ -61,7 +61,7 @@ class Source(Protocol):
 
     @property
     def contents(self) -> str:
-        """What was taken for what, in a few words; may be empty."""
+        """How the source was read, in a few words; may be empty."""
         return ""
 
     @property

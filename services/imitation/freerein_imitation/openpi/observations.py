@@ -1,4 +1,4 @@
-"""What an openpi client's message says: images, goal, executed actions, and whether an episode begins.
+"""The contents of an openpi client's message: images, goal, executed actions, and whether an episode begins.
 
     observation/<camera>   uint8 (H, W, C), one for each camera
     observation/state      float32 (S,), the robot's own state; ignored for a model that takes none

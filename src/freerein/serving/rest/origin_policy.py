@@ -18,7 +18,7 @@ from freerein.errors import PermissionDenied, quoted
 
 @dataclass(frozen=True)
 class OriginPolicy:
-    """The rule for every request but health checks. What is no browser sends no `Origin`.
+    """The rule for every request but health checks. Clients other than browsers send no `Origin`.
 
     Attributes:
         origins: Origins whose pages may call.
