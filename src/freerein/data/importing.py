@@ -70,11 +70,9 @@ class Source(Protocol):
         return ()
 
 
-def import_trajectories(
-    source: Source, root: Path, *, replaces: bool = False, on_count: Callable[[int], None] = lambda _: None
-) -> tuple[str, ...]:
+def import_trajectories(source: Source, root: Path) -> tuple[str, ...]:
     """Writes a new dataset with the trajectories of a source, as `imported`; returns warnings of what was written."""
-    with imported(source, root, replaces=replaces, on_count=on_count) as warnings:
+    with imported(source, root) as warnings:
         return warnings
 
 
