@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.report import Ratio, Results
 from benchmarks.timing import Effort, Workload, measure_rates, repeat_function
-from benchmarks.untrained import initialise
+from benchmarks.untrained import grounding_spec, initialise
 from freerein.criteria import CRITERIA
 from freerein.criterion_text import Claim, CriterionCaption
 from freerein.types.common import ModelRef
@@ -20,9 +20,8 @@ from freerein_reward.methods.criterion_captions.criterion_model import Criterion
 from freerein_reward.methods.criterion_captions.method import network_spec
 from freerein_reward.methods.criterion_captions.network import CriterionNetwork
 from freerein_reward.methods.criterion_captions.place_dataset import view_layout
-from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel
+from freerein_reward.model import DualEncoder, GradCamModel
 from freerein_reward.training import synthetic_objects
-from freerein_reward.training.config import GroundingConfig
 
 _CAMERAS = ("front", "left", "tilt")
 _PHRASES = ("a red block", "a green block", "a yellow block", "a blue block")
@@ -46,17 +45,9 @@ async def measure(effort: Effort) -> Results:
 
 def _model(cameras: tuple[str, ...]) -> CriterionModel:
     """Returns an untrained model; with one camera, that is the front and the tilted view."""
-    tower = GroundingConfig()
-    grounding = DualEncoderSpec(
-        cameras=("",),
-        vocabulary=synthetic_objects.VOCABULARY,
-        image_size=synthetic_objects.IMAGE_SIZE,
-        width=tower.width,
-        depth=tower.depth,
-    )
     views = cameras if len(cameras) > 1 else (cameras[0], "", cameras[0])
     config = CriterionConfig(cameras=cameras, views=views, phrases=_PHRASES, object_widths=(_WIDTH,))
     layout = view_layout(cameras, views, config.object_widths, 1.0)
-    network = CriterionNetwork(network_spec(GradCamModel(DualEncoder(grounding)), config, layout))
+    network = CriterionNetwork(network_spec(GradCamModel(DualEncoder(grounding_spec())), config, layout))
     initialise(network)
     return CriterionModel(network)

@@ -19,7 +19,7 @@ import orjson
 from benchmarks.report import Ratio, Results
 from benchmarks.servers import rest_call, rest_client, run_service
 from benchmarks.timing import Effort, Workload, measure_rates, repeat, repeat_function
-from benchmarks.untrained import initialise, publish
+from benchmarks.untrained import grounding_spec, initialise, publish
 from freerein import wire
 from freerein.clients import Channel, RewardClient
 from freerein.types.reward import RewardRequest
@@ -27,9 +27,7 @@ from freerein_reward import model as reward_model
 from freerein_reward.core import RewardModel
 from freerein_reward.methods.relation_captions.config import RewardConfig
 from freerein_reward.methods.relation_captions.losses import network_spec
-from freerein_reward.model import DualEncoder, DualEncoderSpec
-from freerein_reward.training import synthetic_objects
-from freerein_reward.training.config import GroundingConfig
+from freerein_reward.model import DualEncoder
 
 _CAMERA, _GOAL = "front", "a red block on top of a yellow block"
 _PHRASES = ("a red block", "a green block", "a yellow block", "a blue block")
@@ -100,15 +98,7 @@ def _similarities(reply: Any) -> Similarities:
 
 def _publish(data_dir: Path) -> tuple[RewardModel, int]:
     """Publishes an untrained model of a fit's default size; returns it and the side of its images, in pixels."""
-    tower = GroundingConfig()
-    grounding = DualEncoderSpec(
-        cameras=("",),
-        vocabulary=synthetic_objects.VOCABULARY,
-        image_size=synthetic_objects.IMAGE_SIZE,
-        width=tower.width,
-        depth=tower.depth,
-    )
-    spec = network_spec(grounding, RewardConfig(cameras=(_CAMERA,), phrases=_PHRASES))
+    spec = network_spec(grounding_spec(), RewardConfig(cameras=(_CAMERA,), phrases=_PHRASES))
     network = DualEncoder(spec)
     initialise(network)
     publish(network, data_dir, "reward", name="", card={"method": "relation_captions"})

@@ -1,4 +1,4 @@
-"""What benchmarks talk to: services as users run them, servers of our own, REST calls."""
+"""The servers of benchmarks: services as users run them, servers of our own, REST calls."""
 
 import asyncio
 import os

@@ -20,7 +20,7 @@ _MARGIN = 1.2
 
 @dataclass(frozen=True)
 class Effort:
-    """How thoroughly to measure.
+    """The effort of a measurement.
 
     Attributes:
         rounds: Turns of each workload.

@@ -11,6 +11,21 @@ from freerein.learning import weights
 from freerein.learning.model_files import save_model
 from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
+from freerein_reward.model import DualEncoderSpec
+from freerein_reward.training import synthetic_objects
+from freerein_reward.training.config import GroundingConfig
+
+
+def grounding_spec() -> DualEncoderSpec:
+    """Returns the grounding model of a pre-training's default size."""
+    tower = GroundingConfig()
+    return DualEncoderSpec(
+        cameras=("",),
+        vocabulary=synthetic_objects.VOCABULARY,
+        image_size=synthetic_objects.IMAGE_SIZE,
+        width=tower.width,
+        depth=tower.depth,
+    )
 
 
 def initialise(network: nn.Module) -> None:

@@ -1,9 +1,11 @@
-"""Runs experiments and makes their tables: `python -m experiments list|run|table`; see `README.md`."""
+"""Runs experiments and makes their tables: `python -m experiments list|show|run|table|pack`; see `README.md`."""
 
 import argparse
+import json
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from experiments import pages, registry
@@ -50,6 +52,15 @@ def _print_arms(arms: Sequence[ArmProgress]) -> None:
     for each in arms:
         minutes = "unknown" if each.minutes is None else f"{each.minutes:.1f}"
         print(f"{each.arm.name:{width}}  {each.state:8}  {minutes:>7} minutes")
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    """Prints the result of an arm as JSON, without what pictures show and its samples by trial."""
+    experiment = registry.load(arguments.name)
+    for arm in choose(experiment, [arguments.arm]):
+        result = results.load(arguments.results / arguments.name / f"{arm.name}.json")
+        print(json.dumps(asdict(replace(result, samples={}, shown={})), indent=2))
+    return 0
 
 
 def _dry_run(arguments: argparse.Namespace) -> int:
@@ -99,6 +110,14 @@ def _table(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _pack(arguments: argparse.Namespace) -> int:
+    """Packs the results of the named experiments, else of all."""
+    for name in arguments.names or registry.EXPERIMENTS:
+        registry.load(name)  # refuses an unknown one
+        results.pack(arguments.results / name)
+    return 0
+
+
 def make_table(name: str, folder: Path) -> Table | None:
     """Returns the table of an experiment's current results, which lie in `folder / name`; None without any."""
     experiment = registry.load(name)
@@ -126,9 +145,13 @@ def _report(arm: Arm, ending: Ending) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m experiments", description="Run experiments, make their tables.")
     commands = parser.add_subparsers(required=True)
-    show = commands.add_parser("list", help="experiments, their arms and results")
-    show.add_argument("names", nargs="*", metavar="NAME", help="show the arms of these; default: all experiments")
-    show.set_defaults(command=_list)
+    listed = commands.add_parser("list", help="experiments, their arms and results")
+    listed.add_argument("names", nargs="*", metavar="NAME", help="show the arms of these; default: all experiments")
+    listed.set_defaults(command=_list)
+    show = commands.add_parser("show", help="the results of arms: configuration, figures, machine")
+    show.add_argument("name", choices=registry.EXPERIMENTS)
+    show.add_argument("arm", metavar="PATTERN", help="names of arms, such as 'grid-lse-*-seed0'")
+    show.set_defaults(command=_show)
     run = commands.add_parser("run", help="train and evaluate the arms that have no result yet")
     run.add_argument("name", choices=registry.EXPERIMENTS)
     run.add_argument("--jobs", type=int, default=1, help="arms at a time, one thread each")
@@ -140,7 +163,10 @@ def _parser() -> argparse.ArgumentParser:
     make = commands.add_parser("table", help="make tables of the arms that have results")
     make.add_argument("names", nargs="*", metavar="NAME", help="default: all that have results")
     make.set_defaults(command=_table)
-    for each in (show, run, make):
+    pack = commands.add_parser("pack", help="move what results have in common to one archive")
+    pack.add_argument("names", nargs="*", metavar="NAME", help="default: all experiments")
+    pack.set_defaults(command=_pack)
+    for each in (listed, show, run, make, pack):
         each.add_argument("--results", type=Path, default=Places.results, help="folder of results")
     return parser
 

@@ -3,7 +3,7 @@
 import importlib
 
 from experiments.workbench.arms import Experiment
-from freerein.errors import NotFound
+from freerein.errors import NotFound, quoted
 
 EXPERIMENTS = (
     "development",
@@ -25,6 +25,6 @@ EXPERIMENTS = (
 def load(name: str) -> Experiment:
     """Returns the experiment of a name; NotFound for an unknown one."""
     if name not in EXPERIMENTS:
-        raise NotFound(f"The experiment must be one of {', '.join(EXPERIMENTS)}; got another name.", field="name")
+        raise NotFound(f"The experiment must be one of {', '.join(EXPERIMENTS)}; got {quoted(name)}.", field="name")
     experiment: Experiment = importlib.import_module(f"experiments.{name}").EXPERIMENT
     return experiment

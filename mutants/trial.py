@@ -17,7 +17,7 @@ _FAILED, _BROKEN = 1, 2
 
 
 class Outcome(StrEnum):
-    """What became of a changed file."""
+    """The outcome of a trial."""
 
     KILLED = "killed"
     TIMED_OUT = "timed out"

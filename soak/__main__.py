@@ -36,7 +36,7 @@ _SESSIONS = 64
 
 @dataclass
 class Findings:
-    """What the soak has measured."""
+    """The soak's measurements."""
 
     samples: dict[str, list[Sample]] = field(default_factory=lambda: defaultdict(list))
     before: dict[str, Held] = field(default_factory=dict)

@@ -19,7 +19,7 @@ _WEIGHTS = {"plain calls": 30, "sequences": 44, "crashes": 6, "tiny deadlines": 
 
 @dataclass
 class Tally:
-    """What came of the load: how often each kind of client came, and the first lines of what went wrong."""
+    """The outcome of the load: how often each kind of client came, and the first lines of what went wrong."""
 
     clients: Counter[str] = field(default_factory=Counter)
     failures: list[str] = field(default_factory=list)

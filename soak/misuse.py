@@ -1,4 +1,4 @@
-"""What ill-behaved clients do: they die in the middle of a call, have hardly any time, or break the rules."""
+"""Ill-behaved clients: they die in the middle of a call, have hardly any time, or break the rules."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine

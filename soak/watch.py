@@ -19,7 +19,7 @@ _COMPLAINTS = ('"event": "bug"', "Traceback", "never retrieved", "Exception igno
 
 @dataclass(frozen=True)
 class Held:
-    """What a service holds while nobody calls: threads, file descriptors, and calls in flight or queued."""
+    """The resources of an idle service: threads, file descriptors, and calls in flight or queued."""
 
     threads: int
     descriptors: int

@@ -8,7 +8,7 @@ from experiments.first_session.pipeline import SIDES
 from freerein.cli.demo.evaluations import Measured
 
 _EXPERT_RETURN = 75.0
-"""What a task must allow: the scripted expert's return, of 100."""
+"""Least return of the scripted expert, of 100."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Session:
-    """What a session measured.
+    """The measurements of a session.
 
     Attributes:
         evaluations: Figures of the evaluations, by step and name.

@@ -50,7 +50,7 @@ _SMALLER: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         "sentences": {"episodes": 4, "num_envs": 4},
     }
 )
-"""What the small size has instead, by step: every kind of work in two minutes, and figures that mean nothing."""
+"""Overrides of the small size, by step: every kind of work in two minutes, and figures that mean nothing."""
 
 _REWARD_MODEL = "first-blocks"
 _PHRASES = [f"a {colour} block" for colour in ("red", "green", "yellow", "blue")]
@@ -67,7 +67,7 @@ def pipeline(size: str, seed: int) -> list[Step]:
 
 
 def _learn_from_data() -> list[Step]:
-    """What is recorded, and the models that learn from it."""
+    """The steps that record, and fit models to the records."""
     return [
         _collect("grid-demos", behaviour="expert", **GRID_DEMONSTRATIONS),
         _collect("blocks-demos", task="blocks", behaviour="expert", count=400, min_skills=2, max_skills=3),
@@ -96,7 +96,7 @@ def _learn_from_data() -> list[Step]:
 
 
 def _evaluate_and_practise() -> list[Step]:
-    """What is measured of the policies, and PPO and distillation."""
+    """The steps that evaluate policies, and train by PPO and distillation."""
     own, other = TASKS.values()
     return [
         _evaluate("landmarks", "landmarks", task="blocks", policy={"model": "first-goals"}, episodes=64, num_envs=64),

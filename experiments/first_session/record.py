@@ -1,4 +1,4 @@
-"""What the pipeline of an arm left on disk: evaluations, seconds and curves."""
+"""The record that the pipeline of an arm left on disk: evaluations, seconds and curves."""
 
 import json
 from collections.abc import Sequence

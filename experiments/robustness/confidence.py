@@ -1,4 +1,4 @@
-"""How well a model knows where it is wrong, over the answers under all conditions; as samples by trial.
+"""Calibration and AUROC of a model's in-distribution score, over the answers under all conditions; as samples by trial.
 
 AUROC and expected calibration error are no ratios of sums over trials. Each is written as one that equals it: the AUROC
 as the mean over wrong answers of the share of right ones with a higher score, the calibration error with the sign of

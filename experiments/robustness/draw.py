@@ -1,4 +1,4 @@
-"""What the benchmark draws from the worlds: demonstrations, exploration, scenes, and rollouts of policies.
+"""The data that the benchmark draws from the worlds: demonstrations, exploration, scenes, and rollouts of policies.
 
     <work>/datasets/<hash>.safetensors         what a learner may see
                     <hash>.truth.safetensors   true labels and states, for evaluation
@@ -59,7 +59,7 @@ class Drawn:
 
 
 class Spec(Protocol):
-    """What to draw; its fields are its identity."""
+    """A draw; its fields are its identity."""
 
     @property
     def task(self) -> str:

@@ -53,7 +53,7 @@ _FOUND: Mapping[tuple[str, str], Callable[[Path], Outcome]] = MappingProxyType(
         (SCATTERED, goal_texts.TEXTS): lambda work: goal_texts.evaluate(),
     }
 )
-"""What is evaluated without a fit, by world and method."""
+"""Evaluations without a fit, by world and method."""
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ _BLOCKS = frozenset((*COLOURS, "block", "blocks"))
 
 @dataclass(frozen=True)
 class Reading:
-    """What a reader makes of a text.
+    """A reader's answer to a text.
 
     Attributes:
         is_followed: Whether it is a goal: a policy acts, or a reward is given.

@@ -68,7 +68,7 @@ _IN_ORDER = "start/in-order"
 
 @dataclass(frozen=True)
 class PolicyArm:
-    """How arms of a method are made.
+    """The recipe of a method's arms.
 
     Attributes:
         steps: Returns the pipeline of an arm.
@@ -265,7 +265,7 @@ METHODS: Mapping[str, PolicyArm] = MappingProxyType(
         ),
     }
 )
-"""How arms are made, by method."""
+"""The recipe of each method's arms."""
 
 
 def arms(seeds: int) -> tuple[Arm, ...]:

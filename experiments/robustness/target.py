@@ -49,7 +49,7 @@ class Target:
 
     @property
     def must_reach(self) -> str:
-        """What it must reach, such as `>= 92`."""
+        """The bar in words, such as `≥ 92`."""
         if not self.has_bar:
             return "reported"
         bar = f"≥ {self.least:g}" if self.least is not None else f"≤ {self.most:g}"

@@ -50,7 +50,7 @@ class SplitSpec:
 
 @dataclass(frozen=True)
 class DatasetSpec:
-    """What a dataset is drawn from.
+    """The source of a dataset.
 
     Attributes:
         task: Task of the sim service.

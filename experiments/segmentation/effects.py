@@ -1,4 +1,4 @@
-"""What happens to a camera after a fit: less light, and a push."""
+"""Effects on a camera after a fit: less light, and a push."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

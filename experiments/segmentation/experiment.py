@@ -35,7 +35,7 @@ from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, held_out_action_loss
 
 SHOWN_LABELS = "test.labels"
-"""What a network shows: its labels of the first test trajectories."""
+"""Name of a network's labels of the first test trajectories."""
 
 _SHOWN = 4
 _LABELLED: tuple[SplitName, ...] = ("train", "validation")
@@ -46,7 +46,7 @@ WorkbenchLearner = SegmentationLearner | supervised.SupervisedLearner
 
 @dataclass(frozen=True)
 class ArmConfig:
-    """What an arm's result depends on.
+    """The configuration that an arm's result depends on.
 
     Attributes:
         data: The demonstrations.

@@ -17,7 +17,7 @@ PER_CENT = 100
 
 
 class Row(NamedTuple):
-    """What tells the rows of a world apart; a guess has no context."""
+    """The key of a row among those of its world; a guess has no context."""
 
     method: str
     context: str = ""

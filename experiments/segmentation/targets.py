@@ -1,4 +1,4 @@
-"""The claims of chapter 2: what a row must reach, and beside what."""
+"""Target values and baselines of the claims of chapter 2."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field

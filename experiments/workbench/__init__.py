@@ -1,1 +1,1 @@
-"""What every experiment shares: arms, their results on disk, child processes that run them, claims and tables."""
+"""Shared by all experiments: arms, their results on disk, child processes that run them, claims and tables."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from experiments.workbench.configs import Config, is_same
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
-from freerein.errors import NotFound
+from freerein.errors import NotFound, quoted
 from freerein_sim.worlds.tasks import tasks
 
 
@@ -103,7 +103,7 @@ def choose(experiment: Experiment, patterns: Sequence[str]) -> list[Arm]:
     for pattern in patterns:
         if not any(fnmatch(arm.name, pattern) for arm in experiment.arms):
             raise NotFound(
-                f"A pattern must match one of {len(experiment.arms)} arms; one matches none.",
+                f"A pattern must match one of {len(experiment.arms)} arms; {quoted(pattern)} matches none.",
                 field="only",
                 hint=f"An arm's name is like {experiment.arms[0].name}.",
             )

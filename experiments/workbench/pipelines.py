@@ -49,7 +49,6 @@ def run_pipeline(
     folder: Path,
     on_progress: Callable[[], None],
     *,
-    name: str = _NAME,
     keeps_datasets: bool = False,
     then: Callable[[Mapping[str, str]], Awaitable[None]] | None = None,
 ) -> Trials | None:
@@ -59,7 +58,6 @@ def run_pipeline(
         steps: Its steps.
         folder: The arm's.
         on_progress: Called now and then.
-        name: Tells the pipelines of an arm apart.
         keeps_datasets: Whether another pipeline of the arm needs its datasets.
         then: Awaited once the pipeline is done, with the addresses of the services, which still run.
 
@@ -68,24 +66,23 @@ def run_pipeline(
     """
     data = folder / "data"
     with stop_on_sigterm() as is_stopped:
-        is_done = asyncio.run(_run_to_its_end({"steps": list(steps)}, name, data, on_progress, is_stopped, then=then))
+        is_done = asyncio.run(_run_to_its_end({"steps": list(steps)}, data, on_progress, is_stopped, then=then))
     if not is_done:
         return None
     if not keeps_datasets:
         shutil.rmtree(data / "datasets", ignore_errors=True)
-    parts = run_folder(folder, name=name) / "parts"
+    parts = run_folder(folder) / "parts"
     names = [step["name"] for step in steps if step["kind"] == "evaluate"]
     return {name: _trials(parts / name / "checkpoints" / "rounds.jsonl") for name in names}
 
 
-def run_folder(folder: Path, *, name: str = _NAME) -> Path:
+def run_folder(folder: Path) -> Path:
     """Returns the folder of the run of a pipeline in the folder of its arm."""
-    return folder / "data" / "runs" / id_of(name)
+    return folder / "data" / "runs" / id_of(_NAME)
 
 
 async def _run_to_its_end(
     config: dict[str, Any],
-    name: str,
     data: Path,
     on_progress: Callable[[], None],
     is_stopped: Callable[[], bool],
@@ -97,7 +94,7 @@ async def _run_to_its_end(
     async with Stack(choose(_SERVICES), data_dir=data, environ=environ, ports=ports) as stack:
         await stack.ready(timeout_s=_READY_TIMEOUT_S)
         async with OrchestratorClient(channel_to(stack.addresses["orchestrator"], CliSettings())) as client:
-            following = asyncio.create_task(_follow(client, config, name, on_progress))
+            following = asyncio.create_task(_follow(client, config, on_progress))
             while not (following.done() or is_stopped()):
                 await asyncio.wait([following], timeout=_POLL_S)
             if not following.done():
@@ -110,11 +107,9 @@ async def _run_to_its_end(
         return True
 
 
-async def _follow(
-    client: OrchestratorClient, config: dict[str, Any], name: str, on_progress: Callable[[], None]
-) -> None:
-    """Starts the run of a name, or finds it, and follows it to its end."""
-    run = (await client.start_run(StartRunRequest("pipeline", config, idempotency_key=name))).run
+async def _follow(client: OrchestratorClient, config: dict[str, Any], on_progress: Callable[[], None]) -> None:
+    """Starts the run, or finds it, and follows it to its end."""
+    run = (await client.start_run(StartRunRequest("pipeline", config, idempotency_key=_NAME))).run
     async with aclosing(follow_run(client, run.id)) as changes:
         async for changed in changes:
             run = changed

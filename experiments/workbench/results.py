@@ -1,4 +1,7 @@
-"""The result of an arm: a JSON file in `results/EXPERIMENT/`; what only tables read is one compressed member."""
+"""The result of an arm: `results/EXPERIMENT/ARM.json`, whose long members are compressed.
+
+They are `packed` in its own file when the arm has finished, or `archived` with those of others; see `pack`.
+"""
 
 import base64
 import json
@@ -15,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from experiments.workbench import archive
 from experiments.workbench.processor import processor
 from freerein.atomic_files import write_atomic
 from freerein.errors import FailedPrecondition
@@ -24,7 +28,8 @@ TABLE_FILE = "table.json"
 """Name of the file of claims, which lies beside the results."""
 
 _PACKAGES = ("freerein", "numpy", "torch")
-_PACKED = ("samples", "shown")
+_LONG = ("config", "machine", "samples", "shown")
+"""Members of a result that are compressed."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What an evaluation measured.
+    """The measurements of an evaluation.
 
     Attributes:
         figures: Value by figure, such as `test.frame_accuracy`.
@@ -103,10 +108,22 @@ class ArmResult:
 
 def save(result: ArmResult, folder: Path) -> None:
     """Writes `folder / <name>.json`."""
-    document = asdict(result)
-    packed = _pack({name: document.pop(name) for name in _PACKED})
-    text = json.dumps({**document, "packed": packed}, indent=1, allow_nan=False)
-    write_atomic(folder / f"{result.name}.json", f"{text}\n".encode())
+    short, long = _split(result)
+    packed = base64.b85encode(archive.compress(archive.to_json(long))).decode()
+    _write({**short, "packed": packed}, folder)
+
+
+def pack(folder: Path) -> None:
+    """Moves the long members of all results in a folder to one archive, where they take half the room or less.
+
+    Raises:
+        FailedPrecondition: A file is no result.
+    """
+    split = [_split(result) for result in load_all(folder)]
+    if split:
+        digests = archive.write(folder, [long for _, long in split])
+        for (short, _), digest in zip(split, digests, strict=True):
+            _write({**short, "archived": digest}, folder)
 
 
 def load_all(folder: Path) -> list[ArmResult]:
@@ -117,15 +134,30 @@ def load_all(folder: Path) -> list[ArmResult]:
 def load(path: Path) -> ArmResult:
     """Returns the result in a file. Raises FailedPrecondition when it is not one."""
     try:
-        document: dict[str, Any] = json.loads(path.read_bytes())
-        packed = _unpack(document.pop("packed"))
-        samples = {name: Sample(**each) for name, each in packed.pop("samples").items()}
-        return ArmResult(samples=samples, **packed, **document)
+        short: dict[str, Any] = json.loads(path.read_bytes())
+        if "archived" in short:
+            long = archive.read(path.parent, short.pop("archived"))
+        else:
+            long = json.loads(lzma.decompress(base64.b85decode(short.pop("packed"))))
+        samples = {name: Sample(**each) for name, each in long["samples"].items()}
+        return ArmResult(**{**short, **long, "samples": samples})
     except (OSError, ValueError, KeyError, TypeError, AttributeError, lzma.LZMAError) as error:
         raise FailedPrecondition(
-            "The result of an arm must be JSON with the fields of an arm's result; one is not.",
-            hint="Delete the file and run the arm again.",
+            f"The result of an arm must be JSON with its fields, and archived members beside it; {path.name} is not.",
+            hint="Restore the file and the archives of its folder, or delete the file and run the arm again.",
         ) from error
+
+
+def _split(result: ArmResult) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Returns the short members of a result, and the long ones."""
+    members = asdict(result)
+    long = {name: members.pop(name) for name in _LONG}
+    return members, long
+
+
+def _write(document: Mapping[str, Any], folder: Path) -> None:
+    text = json.dumps(document, indent=1, allow_nan=False)
+    write_atomic(folder / f"{document['name']}.json", f"{text}\n".encode())
 
 
 def machine() -> dict[str, JSON]:
@@ -138,13 +170,3 @@ def machine() -> dict[str, JSON]:
         "python": platform.python_version(),
         **{name: version(name) for name in _PACKAGES},
     }
-
-
-def _pack(document: Mapping[str, Any]) -> str:
-    """Returns JSON as text: base85 of it by LZMA, a tenth as long."""
-    text = json.dumps(document, separators=(",", ":"), allow_nan=False)
-    return base64.b85encode(lzma.compress(text.encode(), preset=9)).decode()
-
-
-def _unpack(packed: str) -> dict[str, Any]:
-    return dict(json.loads(lzma.decompress(base64.b85decode(packed))))

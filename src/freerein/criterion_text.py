@@ -26,7 +26,7 @@ NOT, AND, OR = "not", "and", "or"
 
 
 class Claim(Enum):
-    """What a caption says of a criterion and its nouns."""
+    """The claim of a caption about a criterion and its nouns."""
 
     HOLDS = "holds"
     FAILS = "fails"

@@ -51,7 +51,7 @@ class ChildProcess(Protocol):
 
 @dataclass(frozen=True)
 class Program:
-    """What a child process runs: `python -m freerein.program MODULE ARGUMENTS`, in a process group of its own.
+    """A child process to start: `python -m freerein.program MODULE ARGUMENTS`, in a process group of its own.
 
     Attributes:
         module: The module.

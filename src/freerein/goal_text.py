@@ -39,7 +39,7 @@ REQUESTS = (
     ),
     *("i need", "make sure", "make sure that"),
 )
-"""What a sentence may begin with before it says anything."""
+"""Openings of a sentence that carry no meaning."""
 
 OPENINGS = (
     *("i d like", "we want", "we need", "you to", "you should", "you must", "let", "ensure", "ensure that"),

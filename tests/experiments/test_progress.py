@@ -1,5 +1,6 @@
 """The list of experiments and arms, and runs that train nothing, over results as they lie on disk."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,6 +43,17 @@ def test_experiments_are_listed_with_arms_results_minutes_and_status(
     assert arms[0].split() == [ARM.name, "present", "12.5", "minutes"]
     assert arms[1].split() == [outdated.name, "outdated", "3.0", "minutes"]
     assert arms[2].split()[1:] == ["missing", "unknown", "minutes"]
+
+
+def test_a_packed_result_is_shown_with_its_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    results.save(result(ARM, minutes=1.0), tmp_path / "smoke")
+    assert main(["pack", "smoke", "--results", str(tmp_path)]) == 0
+
+    assert main(["show", "smoke", ARM.name, "--results", str(tmp_path)]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert (shown["name"], shown["config"]) == (ARM.name, to_json(SMOKE.config(ARM)))
+    assert main(["show", "smoke", SMOKE.arms[1].name, "--results", str(tmp_path)]) == 2
+    assert "run the arm again" in capsys.readouterr().err
 
 
 def test_a_dry_run_names_what_would_run_and_how_long_other_seeds_took_and_trains_nothing(

@@ -1,4 +1,5 @@
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,7 +57,35 @@ def test_a_result_comes_back_from_its_file(tmp_path: Path) -> None:
     assert results.load_all(tmp_path) == [RESULT]
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"samples": {}}'])
+def test_packed_results_come_back_with_what_was_saved_since_and_pack_again(tmp_path: Path) -> None:
+    mil, ccnn = replace(RESULT, name="grid-mil-causal-seed1"), replace(RESULT, name="grid-ccnn-causal-seed1", config={})
+    results.save(RESULT, tmp_path)
+    results.save(mil, tmp_path)
+    results.pack(tmp_path)
+    assert "samples" not in (tmp_path / f"{mil.name}.json").read_text()
+    changed = replace(mil, samples={})
+    results.save(changed, tmp_path)
+    results.save(ccnn, tmp_path)
+    assert results.load_all(tmp_path) == [ccnn, RESULT, changed]
+    results.pack(tmp_path)
+    files = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert results.load_all(tmp_path) == [ccnn, RESULT, changed]
+    assert len(files) == 4
+
+    results.pack(tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == files
+
+
+def test_results_that_two_branches_packed_load_from_both_archives(tmp_path: Path) -> None:
+    other = replace(RESULT, name="grid-mil-causal-seed1", config={})
+    for branch, result in (("ours", RESULT), ("theirs", other)):
+        results.save(result, tmp_path / branch)
+        results.pack(tmp_path / branch)
+        shutil.copytree(tmp_path / branch, tmp_path / "merged", dirs_exist_ok=True)
+    assert results.load_all(tmp_path / "merged") == [RESULT, other]
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"samples": {}}', '{"archived": "0123456789ab"}'])
 def test_a_file_that_is_no_result_is_refused_with_a_hint(text: str, tmp_path: Path) -> None:
     (tmp_path / "arm.json").write_text(text)
     with pytest.raises(FailedPrecondition) as refused:

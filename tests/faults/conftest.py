@@ -139,6 +139,18 @@ def start_faulty(start_module_service: Callable[..., Any]) -> Iterator[StartFaul
         assert not [line for line in others if any(bug in line for bug in _BUGS)]
 
 
+@pytest.fixture(scope="module")
+def start_policy(start_faulty: StartFaulty) -> StartFaulty:
+    """A function that starts the service of the faulty policy, and returns when it is ready."""
+
+    def start(data_dir: Path | None = None, **environ: str) -> Faulty:
+        faulty = start_faulty(data_dir, module="tests.faults.faulty_policy", **environ)
+        faulty.service.until_ready()
+        return faulty
+
+    return start
+
+
 Refusal = Callable[..., dict[str, Any]]
 
 

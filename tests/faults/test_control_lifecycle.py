@@ -25,18 +25,6 @@ pytestmark = pytest.mark.e2e
 ROBOTS = 40  # more than a batch holds, so that some have to wait
 
 
-@pytest.fixture
-def start(start_faulty: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that starts the service, and returns when it is ready."""
-
-    def start_ready(data_dir: Path) -> Any:
-        faulty = start_faulty(data_dir, module="tests.faults.faulty_policy")
-        faulty.service.until_ready()
-        return faulty
-
-    return start_ready
-
-
 async def until(condition: Callable[[], object]) -> None:
     await asyncio.to_thread(wait_until, condition)
 
@@ -44,7 +32,7 @@ async def until(condition: Callable[[], object]) -> None:
 @pytest.mark.fault("I8")
 @pytest.mark.fault("G6")
 def test_killed_in_the_middle_it_is_noticed_at_once_and_another_goes_on_from_the_last_state(
-    start: Any, tmp_path: Path, repeats: int, least_of_many: Any
+    start_policy: Any, tmp_path: Path, repeats: int, least_of_many: Any
 ) -> None:
     oracle = asyncio.run(robots.Oracle.of(policies.FaultyPolicy(policies.SEEDS[0]), 200, 201))
     lives, state = itertools.count(), b""
@@ -53,7 +41,7 @@ def test_killed_in_the_middle_it_is_noticed_at_once_and_another_goes_on_from_the
         """Returns how long it takes to notice that the service is dead, in seconds."""
         nonlocal state
         life = next(lives)
-        faulty = start(tmp_path)
+        faulty = start_policy(tmp_path)
         async with ImitationClient(Channel(faulty.service.address)) as client:
             stream = robots.Stream(client.control)
             spec = (await stream.ask(robots.hello(200, 201, state=state))).spec
@@ -75,8 +63,8 @@ def test_killed_in_the_middle_it_is_noticed_at_once_and_another_goes_on_from_the
 
 
 @pytest.mark.fault("I16")
-async def test_told_to_stop_it_answers_tells_every_robot_and_ends(start: Any, tmp_path: Path) -> None:
-    first, second = start(tmp_path / "first"), start(tmp_path / "second")
+async def test_told_to_stop_it_answers_tells_every_robot_and_ends(start_policy: Any, tmp_path: Path) -> None:
+    first, second = start_policy(tmp_path / "first"), start_policy(tmp_path / "second")
     policy = policies.FaultyPolicy(policies.SEEDS[0])
     async with (
         ImitationClient(Channel(first.service.address)) as client,
@@ -108,9 +96,9 @@ async def test_told_to_stop_it_answers_tells_every_robot_and_ends(start: Any, tm
 
 @pytest.mark.fault("I15")
 async def test_a_model_swapped_under_traffic_changes_between_batches_and_streams_keep_theirs(
-    start: Any, tmp_path: Path, repeats: int
+    start_policy: Any, tmp_path: Path, repeats: int
 ) -> None:
-    faulty = start(tmp_path)
+    faulty = start_policy(tmp_path)
     versions = policies.publish_policies(tmp_path)
     oracles = {ref: policies.FaultyPolicy(seed) for ref, seed in zip(versions, policies.SEEDS, strict=True)}
     channel, swapped = Channel(faulty.service.address), asyncio.Event()
@@ -145,8 +133,8 @@ async def test_a_model_swapped_under_traffic_changes_between_batches_and_streams
 
 
 @pytest.mark.fault("I15")
-async def test_damaged_weights_are_refused_and_the_old_ones_go_on(start: Any, tmp_path: Path) -> None:
-    faulty = start(tmp_path)
+async def test_damaged_weights_are_refused_and_the_old_ones_go_on(start_policy: Any, tmp_path: Path) -> None:
+    faulty = start_policy(tmp_path)
     active, other = policies.publish_policies(tmp_path)
     weights = ModelStore(tmp_path / "models" / policies.NAME).folder(other) / "weights"
     weights.write_bytes(json.dumps(policies.SEEDS[1] + 1).encode())
@@ -160,8 +148,8 @@ async def test_damaged_weights_are_refused_and_the_old_ones_go_on(start: Any, tm
         assert (await client.act(robots.asked(1, 3))).model == active
 
 
-async def test_robots_that_vanish_free_their_streams(start: Any, tmp_path: Path) -> None:
-    faulty = start(tmp_path)
+async def test_robots_that_vanish_free_their_streams(start_policy: Any, tmp_path: Path) -> None:
+    faulty = start_policy(tmp_path)
     for _ in range(2):
         client = ImitationClient(Channel(faulty.service.address))
         streams = [robots.Stream(client.control) for _ in range(64)]

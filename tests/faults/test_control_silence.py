@@ -34,34 +34,22 @@ for _ in grpc.insecure_channel(sys.argv[1]).stream_stream(sys.argv[2])(hello()):
 
 
 @pytest.fixture(scope="module")
-def start(start_faulty: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that starts the service, and returns when it is ready."""
-
-    def start_ready(**environ: str) -> Any:
-        faulty = start_faulty(module="tests.faults.faulty_policy", **environ)
-        faulty.service.until_ready()
-        return faulty
-
-    return start_ready
+def faulty(start_policy: Callable[..., Any]) -> Any:
+    return start_policy(FREEREIN_WRITE_S="600")
 
 
 @pytest.fixture(scope="module")
-def faulty(start: Callable[..., Any]) -> Any:
-    return start(FREEREIN_WRITE_S="600")
-
-
-@pytest.fixture(scope="module")
-def impatient(start: Callable[..., Any]) -> Any:
-    return start(FREEREIN_WRITE_S=str(WRITE_S))
+def impatient(start_policy: Callable[..., Any]) -> Any:
+    return start_policy(FREEREIN_WRITE_S=str(WRITE_S))
 
 
 @pytest.fixture(scope="module", autouse=True)
-def abandoned(start: Callable[..., Any]) -> Iterator[Any]:
+def abandoned(start_policy: Callable[..., Any]) -> Iterator[Any]:
     """A service whose robot's process was stopped: its connection stays open, and nobody answers pings.
 
     It comes first, so that the other tests take place while the service waits.
     """
-    faulty = start()
+    faulty = start_policy()
     hello = wire.pack(robots.hello()).SerializeToString().hex()
     command = [sys.executable, "-c", ROBOT, faulty.service.address, CONTROL, hello]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as robot:

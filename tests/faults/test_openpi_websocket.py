@@ -32,25 +32,13 @@ CODES = ("malformed_request", "invalid_input", "model_fault", "output_not_finite
 
 
 @pytest.fixture(scope="module")
-def start(start_faulty: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that starts the service, and returns when it is ready."""
-
-    def start_ready(**environ: str) -> Any:
-        faulty = start_faulty(module="tests.faults.faulty_policy", **environ)
-        faulty.service.until_ready()
-        return faulty
-
-    return start_ready
+def faulty(start_policy: Callable[..., Any]) -> Any:
+    return start_policy()
 
 
 @pytest.fixture(scope="module")
-def faulty(start: Callable[..., Any]) -> Any:
-    return start()
-
-
-@pytest.fixture(scope="module")
-def strict(start: Callable[..., Any]) -> Any:
-    return start(
+def strict(start_policy: Callable[..., Any]) -> Any:
+    return start_policy(
         FREEREIN_TOKEN=TOKEN,
         FREEREIN_CORS_ORIGINS="https://robots.example",
         FREEREIN_RECEIPT_S=str(RECEIPT_S),
@@ -60,9 +48,9 @@ def strict(start: Callable[..., Any]) -> Any:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def abandoned(start: Callable[..., Any]) -> Iterator[tuple[Any, float]]:
+def abandoned(start_policy: Callable[..., Any]) -> Iterator[tuple[Any, float]]:
     """A service whose robot answers no pings, and since when; the other tests take place while it waits."""
-    faulty = start()
+    faulty = start_policy()
     with raw_connection(faulty):
         yield faulty, time.monotonic()
 
@@ -329,8 +317,10 @@ def test_a_robot_that_does_not_read_loses_its_connection_and_fills_no_memory(
 
 
 @pytest.mark.fault("I22")
-def test_a_service_that_stops_answers_what_it_has_and_says_so(start: Callable[..., Any], wait_until: Any) -> None:
-    faulty = start()
+def test_a_service_that_stops_answers_what_it_has_and_says_so(
+    start_policy: Callable[..., Any], wait_until: Any
+) -> None:
+    faulty = start_policy()
     with robot_of(faulty) as busy, robot_of(faulty) as idle:
         busy.send(pack(seen(1, hundredths=50)))
         wait_until(lambda: faulty.metric('freerein_calls_in_flight{protocol="websocket"}') == 2, 60)

@@ -3,7 +3,9 @@
 import asyncio
 import threading
 import time
+import traceback
 from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -67,6 +69,17 @@ async def test_a_lone_item_runs_at_once_and_alone(batcher: Batcher[int, int]) ->
     assert (done.output, done.batch_size) == (42, 1)
     assert time.perf_counter_ns() - done.submitted_ns < 60e9
     assert 0 < done.infer_ns < 60e9
+
+
+async def test_its_thread_enters_one_function_before_the_model() -> None:
+    """As `docs/architecture.md` says: the frames of a call are counted."""
+
+    def callers(_items: Sequence[int]) -> list[list[str]]:
+        return [[each.filename for each in traceback.extract_stack() if "serving" in each.filename]]
+
+    batcher: Batcher[int, list[str]] = Batcher(callers, queue=1, batch=1, metrics=Metrics())
+    assert [Path(each).name for each in (await batcher.submit(0)).output] == ["batcher.py"]
+    batcher.close()
 
 
 async def test_what_arrives_while_the_model_is_busy_shares_the_next_call(

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from freerein.data import Dataset, LeRobotOptions, LeRobotSource, check, import_trajectories, verify
+from freerein.data import Dataset, LeRobotOptions, LeRobotSource, check, import_trajectories, imported, verify
 from freerein.errors import AlreadyExists, InvalidInput, ServiceError
 
 FPS, HEIGHT, WIDTH = 10, 48, 64
@@ -145,9 +145,8 @@ def test_every_frame_is_that_of_its_time(root: Path) -> None:
 
 def test_an_import_keeps_everything_in_the_layout_of_ours(root: Path, tmp_path: Path) -> None:
     counts = list[int]()
-    import_trajectories(LeRobotSource(root, size=(24, 32)), tmp_path / "ours", on_count=counts.append)
-
-    ours = Dataset(tmp_path / "ours")
+    with imported(LeRobotSource(root, size=(24, 32)), tmp_path / "ours", on_count=counts.append):
+        ours = Dataset(tmp_path / "ours")
 
     assert (counts, verify(tmp_path / "ours")) == ([1, 2, 3], [])
     assert (ours.spec.cameras, ours.spec.fps, ours.spec.robot_type) == ({"top": (24, 32, 3)}, FPS, "arm")

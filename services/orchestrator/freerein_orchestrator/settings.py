@@ -1,4 +1,4 @@
-"""What an operator may change of the orchestrator."""
+"""The operator's settings of the orchestrator."""
 
 from typing import Self
 

@@ -39,7 +39,7 @@ _IMAGES_PER_REQUEST = 16
 
 @dataclass(frozen=True)
 class Answer:
-    """What a person says: whether an image shows what a text says."""
+    """A person's answer: whether an image shows what a text says."""
 
     image: Image
     text: str
@@ -68,7 +68,7 @@ class Rate:
 
 @dataclass(frozen=True)
 class Report:
-    """What an audit found.
+    """The findings of an audit.
 
     Attributes:
         precision: Of the rewarded images, those that show the text.

@@ -1,4 +1,4 @@
-"""What a dataset holds, and what a fit to it takes, in words."""
+"""A dataset's contents, and the cost of a fit to it, in words."""
 
 import math
 

@@ -14,7 +14,7 @@ _MOST = float(np.finfo(np.float32).max)
 _EXAMPLE = "For example the lines 0.5,-0.1 and 0.5,0; a first line such as x,y may name the numbers."
 _INDEX_HINT = "Name it, or leave it out: pandas writes a table without its index by to_csv(FILE, index=False)."
 _UNNAMED = re.compile(r"Unnamed: \d+(_level_\d+)?")
-"""How pandas calls a column that had no name in a file."""
+"""The name that pandas gives a column without one."""
 
 
 def read_actions(table: bytes, *, file: str) -> tuple[tuple[str, ...], npt.NDArray[np.float64]]:

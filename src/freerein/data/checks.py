@@ -60,7 +60,7 @@ class DatasetSummary:
 
 @dataclass(frozen=True)
 class FitPrediction:
-    """What a fit of segmentation takes: frames (H, W, C) of a camera, minutes by an estimate, and gigabytes.
+    """The cost of a fit of segmentation: frames (H, W, C) of a camera, minutes by an estimate, and gigabytes.
 
     Memory is that for the frames of a batch, at most; disk that for decoded frames, which `dataset prune` deletes.
     """

@@ -96,7 +96,7 @@ class FolderSource(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was stretched, spelled otherwise in tags, or ignored because operating systems left it."""
+        """Notes: what was stretched, spelled otherwise in tags, or ignored because operating systems left it."""
         named = ", ".join(f"{name} ({count})" for name, count in sorted(self._ignored.items()))
         ignored = (f"Ignored what operating systems left: {named}.",) if named else ()
         return (*stretch_notes(self._stretched, self._size), *self._spellings, *ignored)

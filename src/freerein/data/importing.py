@@ -61,7 +61,7 @@ class Source(Protocol):
 
     @property
     def contents(self) -> str:
-        """What was taken for what, in a few words; may be empty."""
+        """How the source was read, in a few words; may be empty."""
         return ""
 
     @property
@@ -70,11 +70,9 @@ class Source(Protocol):
         return ()
 
 
-def import_trajectories(
-    source: Source, root: Path, *, replaces: bool = False, on_count: Callable[[int], None] = lambda _: None
-) -> tuple[str, ...]:
+def import_trajectories(source: Source, root: Path) -> tuple[str, ...]:
     """Writes a new dataset with the trajectories of a source, as `imported`; returns warnings of what was written."""
-    with imported(source, root, replaces=replaces, on_count=on_count) as warnings:
+    with imported(source, root) as warnings:
         return warnings
 
 

@@ -29,7 +29,7 @@ _MOST_CHOICES = 10_000
 
 @dataclass(frozen=True)
 class LeRobotMeta:
-    """What is read of a dataset, and where.
+    """The features that are read of a dataset, and their files.
 
     Attributes:
         spec: Properties that the trajectories share.

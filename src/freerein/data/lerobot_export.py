@@ -67,7 +67,7 @@ def export_labels(root: Path, original: Path, *, replaces: bool = False) -> int:
 
 @dataclass(frozen=True)
 class _Plan:
-    """What is written to a dataset: the segments of each episode, and its subtasks, by `episode_index`."""
+    """The labels that are written to a dataset: the segments of each episode, and its subtasks, by `episode_index`."""
 
     original: Path
     info: Mapping[str, Any]

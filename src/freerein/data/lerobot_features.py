@@ -18,7 +18,7 @@ _MOST_NUMBERS = 10_000
 
 @dataclass(frozen=True)
 class LeRobotOptions:
-    """What to read of a dataset; features of LeRobot's usual names where none are named.
+    """The features to read of a dataset; those of LeRobot's usual names where none are named.
 
     Attributes:
         action: Columns that together are the action.

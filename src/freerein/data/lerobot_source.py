@@ -105,7 +105,7 @@ class LeRobotSource(Source):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is left out and why, and cameras whose frames are stretched."""
+        """Features that are left out and why, and cameras whose frames are stretched."""
         left_out = {**self._dataset.left_out, **self._unreadable}
         own = self._dataset.spec.cameras
         size = self._size

@@ -1,4 +1,4 @@
-"""What tags can teach: problems of the tags of a dataset, as `freerein dataset check` and fits see them."""
+"""Problems of the tags of a dataset, as `freerein dataset check` and fits see them."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""What LeRobot's datasets say of each timestep in words: its task, or its subtask."""
+"""Texts of each timestep in LeRobot's datasets: its task, or its subtask."""
 
 import math
 import unicodedata

@@ -1,4 +1,4 @@
-"""What a job's child process does: end with its parent, stop on SIGTERM, exit with a code that says how it ended.
+"""The child process of a job: it must end with its parent, stop on SIGTERM, exit with a code that says how it ended.
 
 And what its parent does before: it holds the lock of the job's folder, which the child holds, too.
 """

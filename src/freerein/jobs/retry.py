@@ -26,7 +26,7 @@ class AttemptResult:
 
 @dataclass(frozen=True)
 class Pause:
-    """What precedes an attempt: a wait in seconds, and its reason in a sentence."""
+    """The wait before an attempt, in seconds, and its reason in a sentence."""
 
     seconds: float = 0.0
     reason: str = ""

@@ -1,4 +1,4 @@
-"""What an image looks like, in a few numbers that nothing was trained for.
+"""The looks of an image in a few numbers that nothing was trained for.
 
 They are colour and contrast of each part of it, its brightness, and how colourful it is.
 

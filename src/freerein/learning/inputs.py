@@ -1,4 +1,4 @@
-"""What every network knows of its robot: cameras and actions."""
+"""The inputs of every network: cameras and actions."""
 
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar

@@ -1,4 +1,4 @@
-"""What the training loop trains: a network, its data, and the stages of its fit."""
+"""A learner: a network, its data, and the stages of its fit."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -60,7 +60,7 @@ def stage_at(stages: Sequence[S], step: int) -> tuple[int, S]:
 
 
 class Learner(ABC, Generic[N]):
-    """What the training loop trains.
+    """A network, its data, and the stages of its fit, for the training loop.
 
     A learner of one stage has `loss`, one of several has `stages`.
 

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from freerein.learning.train_state import N, TrainState
 
 IMPORTED_BY_OPTIMISERS = "torch._dynamo"
-"""What torch imports for a second of CPU when a process makes its first optimiser."""
+"""The module that torch imports, for a second of CPU, when a process makes its first optimiser."""
 
 _MAX_GRAD_NORM = 1.0
 

@@ -17,7 +17,7 @@ N = TypeVar("N", bound=nn.Module)
 
 @dataclass(frozen=True, eq=False)
 class TrainState(Generic[N]):
-    """What an optimiser step changes; network and optimiser are updated in place.
+    """The state that an optimiser step changes; network and optimiser are updated in place.
 
     Attributes:
         generator: Source of all randomness of an optimiser step, on the CPU.

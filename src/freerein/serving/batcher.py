@@ -8,7 +8,8 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -172,7 +173,8 @@ class Batcher(Generic[I, O]):
             self._metrics.batches.observe(len(batch))
             started_ns = time.perf_counter_ns()
             try:
-                outputs = self._outputs([queued.item for queued in batch])
+                with self._timed():
+                    outputs = self._call([queued.item for queued in batch])
                 if len(outputs) != len(batch):
                     raise ValueError(f"the model returned {len(outputs)} outputs for {len(batch)} items")
             except Exception:  # whatever a model raises is a fault of the model
@@ -182,11 +184,12 @@ class Batcher(Generic[I, O]):
                 self._faults = 0
                 _answer(batch, outputs, infer_ns=time.perf_counter_ns() - started_ns)
 
-    def _outputs(self, items: list[I]) -> Sequence[O | ServiceError]:
-        """Calls the model; who has its answer finds the model idle."""
+    @contextmanager
+    def _timed(self) -> Iterator[None]:
+        """Times a call of the model; callers that have their answers find the model idle."""
         self._call_began = time.monotonic()
         try:
-            return self._call(items)
+            yield
         finally:
             self._call_began = None
 

@@ -22,7 +22,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass
 class CallRecord:
-    """What is recorded of one call.
+    """The record of one call.
 
     Attributes:
         code: `ok`, or the code of the error that ended it.

@@ -15,7 +15,7 @@ from freerein.ports import PORTS
 from freerein.unknown_names import nearest, quoted_name
 
 OURS = "FREEREIN"
-"""What all variables begin with, before `_`."""
+"""The prefix of all variables, before `_`."""
 KNOWN = (
     *[
         "TOKEN",

@@ -1,4 +1,4 @@
-"""How a gRPC call ends: recorded, and with the status of the error that it raised."""
+"""The end of a gRPC call: recorded, and with the status of the error that it raised."""
 
 import contextlib
 import uuid

@@ -1,4 +1,4 @@
-"""What services with learned models have in common: settings, models, one batcher, fits."""
+"""The common parts of services with learned models: settings, models, one batcher, fits."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

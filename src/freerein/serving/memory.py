@@ -70,7 +70,7 @@ class Memory:
 
 
 class Share:
-    """What one call or connection holds of a `Memory`; `encoding` is that of the memory."""
+    """The bytes of a `Memory` that one call or connection holds; `encoding` is that of the memory."""
 
     def __init__(self, memory: Memory) -> None:
         self.encoding = memory.encoding

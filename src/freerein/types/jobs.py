@@ -1,4 +1,4 @@
-"""What fits and runs have in common. Messages of both services derive from the requests and replies here.
+"""Requests and replies that fits and runs share; messages of both services derive from them.
 
 The module imports nothing heavy: the command line shows jobs without numpy.
 """

@@ -146,7 +146,7 @@ def _check(frame: av.VideoFrame, has_size: bool, count: int, options: Options) -
 
 @dataclass(frozen=True)
 class _Turn:
-    """How a frame is turned to be shown, by the file's display matrix.
+    """The rotation of a frame for display, by the file's display matrix.
 
     Rows may be shown as columns; then the order of the rows may be reversed, and that of the columns.
     """

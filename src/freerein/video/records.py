@@ -1,4 +1,4 @@
-"""What the two processes of a video agree on: the options, and the records of the pipe.
+"""The protocol between the two processes of a video: the options, and the records of the pipe.
 
 A record is a kind, a length of 32 bits and as many bytes:
 
@@ -19,7 +19,7 @@ CODECS = ("h264", "hevc", "av1", "vp9", "mpeg4", "mjpeg")
 
 @dataclass(frozen=True)
 class Options:
-    """What to decode, and within which bounds.
+    """The part of a video to decode, and its bounds.
 
     Frames have 3 channels for RGB, 1 for gray, and a height and width of 0 to keep the file's. `max_pixels` are those
     of a frame of the file; `memory_bytes` and `cpu_s` those of the child process. Frames before `start_s`, in seconds,

@@ -1,1 +1,1 @@
-"""What every policy is, whatever method makes it, and the policies of ppo runs."""
+"""The protocol of a policy, whatever method makes it, and the policies of ppo runs."""

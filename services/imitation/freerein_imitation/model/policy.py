@@ -1,4 +1,4 @@
-"""What the service asks of a policy: the spec that `GetSpec` returns, and one step."""
+"""The protocol of a policy: the spec that `GetSpec` returns, and one step."""
 
 import math
 from abc import ABC, abstractmethod

@@ -49,7 +49,7 @@ class StepInputs(NamedTuple):
 
 
 class StepOutputs(NamedTuple):
-    """What a network says of B observations.
+    """A network's output for B observations.
 
     Attributes:
         actions: float32 (B, K, A) in [-1, 1], or int64 (B, K, 1).

@@ -133,7 +133,10 @@ def _unpack_scalar(parts: Mapping[bytes, Any]) -> bool | int | float:
     value = parts[b"data"]
     _datatype(parts[b"dtype"])
     if not isinstance(value, bool | int | float):
-        raise InvalidInput("A numpy scalar's data must be a number or a boolean; it is not.", hint=_HINT)
+        raise InvalidInput(
+            f"A numpy scalar's data must be a number or a boolean; got a value of type {type(value).__name__}.",
+            hint=_HINT,
+        )
     return value
 
 

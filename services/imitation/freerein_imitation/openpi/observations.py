@@ -1,4 +1,4 @@
-"""What an openpi client's message says: images, goal, executed actions, and whether an episode begins.
+"""The contents of an openpi client's message: images, goal, executed actions, and whether an episode begins.
 
     observation/<camera>   uint8 (H, W, C), one for each camera
     observation/state      float32 (S,), the robot's own state; ignored for a model that takes none
@@ -73,12 +73,16 @@ def parse_observation(spec: PolicySpec, message: dict[str, Any], *, resizes: boo
             hint=_HINT,
         )
     if executed is not None and not isinstance(executed, np.ndarray):
-        raise InvalidInput("`executed_actions` must be an array; it is not.", field="executed_actions", hint=_HINT)
+        raise _must_be("executed_actions", "an array", executed)
     if state is not None and not isinstance(state, np.ndarray):
-        raise InvalidInput(f"`{_STATE}` must be an array; it is not.", field=_STATE, hint=_HINT)
+        raise _must_be(_STATE, "an array", state)
     if not isinstance(reset, bool):
-        raise InvalidInput("`reset` must be a boolean; it is not.", field="reset", hint="Send True or False.")
+        raise _must_be("reset", "a boolean", reset)
     return OpenpiObservation(Observation(images, state), goal, executed, reset, note)
+
+
+def _must_be(name: str, rule: str, got: object) -> InvalidInput:
+    return must_be(name, rule, f"a value of type {type(got).__name__}", hint=_HINT)
 
 
 def _unknown_keys(spec: PolicySpec, rest: dict[str, Any]) -> InvalidInput:
@@ -117,13 +121,13 @@ def _take_goal(rest: dict[str, Any], spec: PolicySpec, resizes: bool) -> Goal | 
     if spec.goal_form == "text":
         prompt = rest.pop(_PROMPT, None)
         if prompt is not None and not isinstance(prompt, str):
-            raise InvalidInput("`prompt` must be a text; it is not.", field="prompt", hint="Send a str.")
+            raise _must_be(_PROMPT, "a text", prompt)
         return None if prompt is None else Goal(text=prompt)
     recipe = rest.pop("recipe", None)
     if recipe is None:
         return None
     if not isinstance(recipe, list) or not all(isinstance(name, str) for name in recipe):
-        raise InvalidInput("`recipe` must be a list of texts; it is not.", field="recipe", hint=_HINT)
+        raise _must_be("recipe", "a list of texts", recipe)
     return Goal(recipe=tuple(recipe))
 
 

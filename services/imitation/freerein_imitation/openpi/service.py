@@ -34,7 +34,7 @@ _RECIPE = "goal.recipe"
 
 @dataclass(frozen=True)
 class OpenpiQuery:
-    """What the URL of a connection asks for.
+    """The options in the URL of a connection.
 
     Attributes:
         model: The model; the connection keeps its version.
@@ -104,7 +104,7 @@ class OpenpiConnection:
         Raises:
             MalformedRequest: The message is not msgpack.
             InvalidInput: Observation, goal or executed actions do not match the model.
-            FailedPrecondition: The robot is to hold, and nobody knows where.
+            FailedPrecondition: A hold was asked for before the first executed action arrived.
             ServiceError: The model failed, is overloaded, or did not answer in time.
         """
         arrived_ns = time.perf_counter_ns()

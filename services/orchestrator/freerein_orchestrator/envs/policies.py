@@ -27,7 +27,7 @@ _MAX_THREADS = 64
 
 @dataclass(frozen=True)
 class PolicySession:
-    """Where a policy acts.
+    """The session that a policy acts in.
 
     Attributes:
         id: The session of the sim service.

@@ -1,4 +1,4 @@
-"""What a kind of run is."""
+"""A kind of run."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass

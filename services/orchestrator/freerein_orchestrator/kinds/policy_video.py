@@ -1,4 +1,4 @@
-"""What a policy does, as an mp4 for people: a bounded number of frames, enlarged to be seen.
+"""A video of a policy, as an mp4 for people: a bounded number of frames, enlarged to be seen.
 
 It needs PyAV (extra `video`): a run without it says so in its log, and goes on.
 """

@@ -1,4 +1,4 @@
-"""What a reward consists of, for the registry in `__init__.py`."""
+"""An entry of the registry of rewards in `__init__.py`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Sight = Literal["frames", "actions", "success_examples", "true_rewards"]
 
 @dataclass(frozen=True)
 class RewardSetting:
-    """What a training gives its reward.
+    """The setting of a training's reward.
 
     Attributes:
         config: Hyperparameters of the training.

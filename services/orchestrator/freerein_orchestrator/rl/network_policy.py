@@ -58,7 +58,7 @@ class NetworkPolicy:
 
 @dataclass(frozen=True, eq=False)
 class _Memory:
-    """What a policy remembers of each environment.
+    """A policy's memory of each environment.
 
     Attributes:
         actions: The present one, float32 (N, A) or int64 (N, 1); 0 before the first.

@@ -1,4 +1,4 @@
-"""What rewards a training: the one place in which rewards differ."""
+"""The reward of a training: the one place in which rewards differ."""
 
 import numpy as np
 from torch import Tensor

@@ -17,7 +17,7 @@ _IMAGES_AT_ONCE = 16
 
 @dataclass(frozen=True, eq=False)
 class ImageEmbeddings:
-    """What a model keeps of N moments.
+    """Embeddings of N moments.
 
     Attributes:
         vectors: Embeddings, float32 (N, D).

@@ -30,14 +30,14 @@ KNOWN_PHRASES = "known_phrases.safetensors"
 LAYOUTS: Mapping[str, Callable[[Path, torch.device], VisionLanguageModel]] = MappingProxyType(
     {"openai": load_openai_clip, "transformers": load_transformers_model}
 )
-"""How a folder's model is loaded, by the card's `layout`."""
+"""Loaders of a folder's model, by the card's `layout`."""
 
 _IMAGES_AT_ONCE = 16
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What grounding needs beside the model.
+    """The inputs of grounding beside the model.
 
     Attributes:
         known_phrases: Scores phrases that name something which its reference images show.

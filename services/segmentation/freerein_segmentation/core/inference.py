@@ -1,4 +1,4 @@
-"""What the batcher runs on the model's thread: whole trajectories, parts of them, and steps of streams."""
+"""Inference on the model's thread: whole trajectories, parts of them, and steps of streams."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeAlias

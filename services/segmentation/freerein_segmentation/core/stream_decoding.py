@@ -45,7 +45,7 @@ class Timeline:
 
 @dataclass(frozen=True, eq=False)
 class Finished:
-    """What became final.
+    """Labels that became final.
 
     Attributes:
         start: First timestep.

@@ -1,4 +1,4 @@
-"""How much of the future scores see, and the recurrent layer that sees it."""
+"""The lookahead of scores, and the recurrent layer that provides it."""
 
 from typing import Literal, TypeAlias
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, must_be, quoted
 from freerein.learning import model_files
 from freerein.learning.action_scaling import UnscaledActionSpec
 from freerein_segmentation.model.network import ModelSpec, SegmentationNetwork
@@ -128,8 +128,6 @@ def _fps(card: Mapping[str, Any]) -> float:
     data = card.get("data")
     fps = data.get("fps", 0.0) if isinstance(data, Mapping) else 0.0
     if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0.0 <= fps < math.inf:
-        raise InvalidInput(
-            "`data.fps` of a model's card must be a number of timesteps per second; it is not.",
-            hint="Fit the model again, or restore its folder from a copy.",
-        )
+        rule, hint = "a number of timesteps per second", "Fit the model again, or restore its folder from a copy."
+        raise must_be("`data.fps` of a model's card", rule, quoted(str(fps)), field="", hint=hint)
     return float(fps)

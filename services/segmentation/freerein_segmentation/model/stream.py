@@ -20,7 +20,7 @@ Encode = Callable[[npt.NDArray[np.uint8], npt.NDArray[Any]], tuple[Tensor, Tenso
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a model says of T timesteps.
+    """A model's output for T timesteps.
 
     Attributes:
         probabilities: P(y_t = k), eq. 2.1, float32 (T, K).

@@ -1,4 +1,4 @@
-"""What the weakly supervised losses of chapter 2 share: scores pooled over time are compared with the tags."""
+"""The common part of the weakly supervised losses of chapter 2: scores pooled over time are compared with the tags."""
 
 from collections.abc import Callable
 from typing import TypeAlias

@@ -1,4 +1,4 @@
-"""How skills are learned from tags, by the name of a fit's final objective: the stages of the fit, from top to bottom.
+"""Algorithms that learn skills from tags, by the name of a fit's final objective: the stages of the fit, in order.
 
 A new algorithm is a function that returns its stages, and a line in `ALGORITHMS`.
 """

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 CONFIDENCE = "confidence"
-"""What a fit carries from the start of its final objective on: the confidence of the network as it was."""
+"""Name of the tensor that a fit carries from the start of its final objective on: the network's confidence then."""
 
 _LEAST_DECIDED = 1 / 3
 """Share of the way from equal shares to certainty below which labels are undecided."""

@@ -10,7 +10,7 @@ from freerein.errors import InvalidInput, must_be
 
 
 class RecipeSampler(Protocol):
-    """What recipes a task has; by default `RandomOrder`."""
+    """The recipes of a task; by default `RandomOrder`."""
 
     def lengths(self, skills: Sequence[str]) -> tuple[int, int]:
         """Returns the fewest and the most skills of a recipe out of these.

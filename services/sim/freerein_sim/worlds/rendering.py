@@ -23,7 +23,7 @@ _OFF = (
 )
 
 _FAILURES = (ImportError, AttributeError, OSError, RuntimeError, ValueError, UserWarning, mujoco.FatalError)
-"""What PyOpenGL, GLFW and MuJoCo raise."""
+"""Errors of PyOpenGL, GLFW and MuJoCo."""
 
 _GL_RENDERER = 0x1F01
 _LONGEST_SENTENCE = 300

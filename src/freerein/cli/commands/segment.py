@@ -208,7 +208,7 @@ def _segment_all(name: str, dataset: Dataset, request: SegmentRequest, camera: s
 
 @dataclass(frozen=True)
 class LabelledDataset:
-    """What was stored of a dataset, and a note where its rate is not that of the model.
+    """The stored labels of a dataset, and a note where its rate is not that of the model.
 
     `flagged` is the share of the timesteps that are probably unlike what the model was fitted on.
     """

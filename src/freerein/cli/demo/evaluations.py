@@ -39,7 +39,7 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What an evaluation measured.
+    """The figures of an evaluation.
 
     Attributes:
         result: `result.json`.

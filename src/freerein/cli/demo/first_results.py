@@ -165,4 +165,4 @@ FIRST_RESULTS = (
         obey_a_sentence,
     ),
 )
-"""What the models that come with freerein can do."""
+"""The part of the demo that shows the shipped models."""

@@ -1,4 +1,4 @@
-"""What is learned in front of the user, from random weights: skills from tags, and a policy from a sentence."""
+"""The part of the demo that learns, from random weights: skills from tags, and a policy from a sentence."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,7 +20,7 @@ _TASK, _SENTENCE = "blocks.yellow-left-of-green", "a yellow block to the left of
 _CAMERA = "front"
 GRID_DEMONSTRATIONS: dict[str, Any] = {"task": "grid", "count": 1000, "min_skills": 2, "max_skills": 4}
 GRID_FIT: dict[str, Any] = {"steps": 300, "batch_size": 16, "augmentation": 0.0}
-"""What is recorded of the world `grid`, and how skills are learned from it."""
+"""The demonstrations of the world `grid`, and the fit to them."""
 
 PPO: dict[str, Any] = {"conditions": ["start-on-the-way"]}
 ITERATIONS = 47
@@ -146,4 +146,4 @@ LEARNED = (
         learn_from_a_sentence,
     ),
 )
-"""What is learned."""
+"""The part of the demo that learns."""

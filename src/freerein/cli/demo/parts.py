@@ -1,4 +1,4 @@
-"""What the parts of the demo share: the services' clients, the output folder, and runs of the orchestrator."""
+"""Shared by the parts of the demo: the services' clients, the output folder, and runs of the orchestrator."""
 
 import json
 import time

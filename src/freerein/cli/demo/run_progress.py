@@ -1,4 +1,4 @@
-"""How far a run of the demo has come: bar, curve and time left on a terminal, a line every few seconds in a log."""
+"""The progress of a run of the demo: bar, curve and time left on a terminal, a line every few seconds in a log."""
 
 from rich.console import Group, RenderableType
 from rich.progress_bar import ProgressBar

@@ -56,7 +56,7 @@ print(f"{torch.__version__}, {torch.get_num_threads()} threads, {', '.join(devic
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What was checked and found, and how to fix it; a `problem` where something required is missing."""
+    """One check, its finding, and the fix; a `problem` where something required is missing."""
 
     name: str
     state: Literal["ok", "warning", "problem"]

@@ -1,4 +1,4 @@
-"""What a finished segmentation fit is worth: figures of its card, and accuracy on trajectories labelled by hand.
+"""The report of a finished segmentation fit: figures of its card, and accuracy on trajectories labelled by hand.
 
 True labels are read here, beside the user, from the data directory; neither the fit nor the service opens them.
 """
@@ -27,7 +27,7 @@ from freerein.types.segmentation import NO_SKILL, SegmentRequest
 
 _UNKNOWN = -1
 _FIGURES = ("figures", "tag_average_precision", "held_out", "warnings")
-"""What is printed of a card as JSON."""
+"""Members of a card that are printed as JSON."""
 
 
 @dataclass(frozen=True)

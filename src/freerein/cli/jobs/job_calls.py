@@ -1,4 +1,4 @@
-"""What is asked about fits and runs: the RPCs of both, whose names and messages differ in the noun alone."""
+"""The RPCs about fits and runs, whose names and messages differ in the noun alone."""
 
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from typing import Any, Literal, TypeAlias

@@ -1,4 +1,4 @@
-"""What people do with a fit or run that has succeeded: commands, with its own names filled in."""
+"""The commands that follow a fit or run that has succeeded, with its own names filled in."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

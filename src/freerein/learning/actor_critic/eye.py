@@ -32,7 +32,7 @@ _REACH = 4.0
 
 @dataclass(frozen=True)
 class EyeSpec:
-    """What an eye looks for.
+    """The objects that an eye looks for.
 
     Attributes:
         image: Sizes of the reward model's image encoder.

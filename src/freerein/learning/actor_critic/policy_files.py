@@ -2,7 +2,7 @@
 
 <folder>/policy.safetensors            weights
          policy.json                   card: `spec`, task, reward, supervision, figures; written last
-         in_distribution.safetensors   what tells how familiar a frame is, `freerein.learning.in_distribution`
+         in_distribution.safetensors   the in-distribution score, `freerein.learning.in_distribution`
 """
 
 from collections.abc import Mapping, Sequence
@@ -75,12 +75,12 @@ def load_policy(folder: Path, *, device: str) -> StoredPolicy:
 
 
 def save_in_distribution(score: InDistribution, folder: Path) -> None:
-    """Writes what tells how familiar a frame is, fitted, beside a policy."""
+    """Writes a fitted in-distribution score beside a policy."""
     write_atomic(folder / IN_DISTRIBUTION_FILE, tensor_files.dump(score.state_dict()))
 
 
 def load_in_distribution(folder: Path, *, cameras: Sequence[Camera]) -> InDistribution:
-    """Returns what tells how familiar frames of some cameras are.
+    """Returns the in-distribution score of frames of some cameras.
 
     Raises:
         FailedPrecondition: There is none beside the policy.
@@ -89,7 +89,7 @@ def load_in_distribution(folder: Path, *, cameras: Sequence[Camera]) -> InDistri
     path, score = folder / IN_DISTRIBUTION_FILE, InDistribution(*statistics_sizes(cameras))
     if not path.is_file():
         raise FailedPrecondition(
-            "The policy must have been stored with a score of how familiar a frame is; it was not.", hint=_MISSING
+            "The policy must have been stored with an in-distribution score; it has none.", hint=_MISSING
         )
     try:
         score.load_state_dict(tensor_files.parse(path.read_bytes()))

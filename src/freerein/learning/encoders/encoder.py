@@ -1,4 +1,4 @@
-"""What an image encoder is, and what a class of them is."""
+"""The protocols of an image encoder, and of a class of them."""
 
 from typing import Protocol
 

@@ -1,4 +1,4 @@
-"""Where things are in a frame, to a fraction of a pixel: image moments of learned heat maps."""
+"""Places of things in a frame, to a fraction of a pixel: image moments of learned heat maps."""
 
 import math
 

@@ -27,7 +27,7 @@ ID = "33aff6d631d05c00849156bc87785527"
 """Of a simulation, or a ppo run: replace it by one that you were given."""
 
 BASE_URL = "http://SERVICE"
-"""Where the service is, in commands; whoever shows them replaces it."""
+"""The service's address in commands, a placeholder."""
 
 _KEY = "example"
 JOB = id_of(_KEY)

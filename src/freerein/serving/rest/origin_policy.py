@@ -13,12 +13,12 @@ from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 
-from freerein.errors import PermissionDenied
+from freerein.errors import PermissionDenied, quoted
 
 
 @dataclass(frozen=True)
 class OriginPolicy:
-    """The rule for every request but health checks. What is no browser sends no `Origin`.
+    """The rule for every request but health checks. Clients other than browsers send no `Origin`.
 
     Attributes:
         origins: Origins whose pages may call.
@@ -38,8 +38,9 @@ class OriginPolicy:
             )
         is_allowed = _is_own_request(headers) if origin is None else origin.lower() in _own_origins(host)
         if not is_allowed and origin not in self.origins:
+            named = "a page that names none" if origin is None else quoted(origin)
             raise PermissionDenied(
-                "A web page that calls must be of the service itself, or of an origin that it allows; it is not.",
+                f"A web page that calls must be of the service itself, or of an origin that it allows; got {named}.",
                 hint="Set FREEREIN_CORS_ORIGINS to the page's origin.",
             )
 

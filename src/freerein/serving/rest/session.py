@@ -14,7 +14,7 @@ from starlette.requests import Request, cookie_parser
 from starlette.responses import Response
 from starlette.routing import Route
 
-from freerein.errors import InvalidInput, MalformedRequest, Unauthenticated, UnsupportedMedia
+from freerein.errors import InvalidInput, MalformedRequest, Unauthenticated, UnsupportedMedia, quoted
 
 PATH = "/session"
 _COOKIE = "freerein_session"
@@ -60,8 +60,11 @@ class Session:
 
 async def _given_token(request: Request) -> str:
     """Returns the token in a JSON body; a form of another page could send no such body."""
-    if request.headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
-        raise UnsupportedMedia("The body must be application/json; it is not.", hint='Send {"token": "..."}.')
+    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if media_type != "application/json":
+        raise UnsupportedMedia(
+            f"The body must be application/json; got {quoted(media_type)}.", hint='Send {"token": "..."}.'
+        )
     try:
         document = orjson.loads(await request.body())
     except orjson.JSONDecodeError:

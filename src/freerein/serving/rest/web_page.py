@@ -1,4 +1,4 @@
-"""What a service adds to its REST API for people with a browser."""
+"""Routes that a service adds to its REST API for people with a browser."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -26,7 +26,7 @@ ABOUT = (
     "msgpack: the service sends the model's spec, then answers each observation by actions. Keys of an observation and "
     "of the URL are in docs/protocol.md, under Robots with openpi's client."
 )
-"""What the description of the API says of it."""
+"""The WebSocket in the description of the API."""
 ERROR = "freerein.error"
 """Key of the event that ends a connection for the error that it was closed with, where the client broke a rule."""
 _CLOSE_CODES = {"internal": 1011, "unavailable": 1012, "overloaded": 1013}

@@ -1,1 +1,1 @@
-"""What two methods or more use."""
+"""Shared by two methods or more."""

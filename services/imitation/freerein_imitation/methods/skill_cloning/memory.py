@@ -1,4 +1,4 @@
-"""What a skill policy remembers between two observations, as one flat vector: the API's `state` holds it.
+"""The memory of a skill policy between two observations, as one flat vector: the API's `state` holds it.
 
 Frames are remembered as features, newest first, beside the actions executed before them. Chunks of actions that were
 predicted for the next timesteps are averaged (temporal ensembling; Zhao et al., "Learning fine-grained bimanual

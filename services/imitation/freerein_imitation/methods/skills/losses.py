@@ -86,7 +86,7 @@ class SkillsLearner(Learner[SkillsNetwork]):
     fingerprint: str
     device: torch.device
     _found: dict[str, Any] = field(default_factory=dict)
-    """What the hand's and the maps' stages have found in the training frames; computed again after a resume."""
+    """Keypoints that the hand's and the maps' stages find in the training frames; computed again after a resume."""
 
     @classmethod
     def prepare(

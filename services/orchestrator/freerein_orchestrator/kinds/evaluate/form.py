@@ -1,4 +1,4 @@
-"""What a form of evaluation is: a configuration, rounds of trials, and the figures of all trials."""
+"""A form of evaluation: a configuration, rounds of trials, and the figures of all trials."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -32,7 +32,7 @@ FILMED = "filmed"
 
 @dataclass(frozen=True, kw_only=True)
 class FormConfig:
-    """What all forms share.
+    """The configuration that all forms share.
 
     Attributes:
         form: The form.
@@ -108,7 +108,7 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class Setup(Generic[C]):
-    """What an evaluation is given.
+    """The inputs of an evaluation.
 
     Attributes:
         context: The run's.
@@ -211,7 +211,7 @@ class Evaluation(Protocol):
 
     @property
     def subject(self) -> dict[str, Any]:
-        """What is evaluated, with the versions of its models: JSON, part of the result."""
+        """The subject of the evaluation, with the versions of its models: JSON, part of the result."""
 
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
         """Returns trials `first` to `first + count`; the same however often it is called."""

@@ -1,4 +1,4 @@
-"""What a policy's confidence that its goal is reached is worth, beside true states."""
+"""A policy's confidence that its goal is reached, measured against true states."""
 
 from collections.abc import Sequence
 

@@ -76,7 +76,7 @@ _CHOICES: Mapping[str, Any] = {
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyConfig(FormConfig):
-    """What all forms that evaluate a policy share.
+    """The configuration that all forms that evaluate a policy share.
 
     Attributes:
         policy: `random`, the scripted `expert`, or an object with `run`, `model` or `stored`.

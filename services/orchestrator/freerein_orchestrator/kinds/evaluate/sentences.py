@@ -1,4 +1,4 @@
-"""Form `sentences`: a policy that is told in words what to do, told every goal text in every task.
+"""Form `sentences`: evaluates a language-conditioned policy on every goal text in every task.
 
 All goal texts are told in episodes from the same starts. The word-blind baseline is the one text that, told in all
 tasks, earns most: what a policy earns that ignores its goal. The confusion matrix says what was done when each text was

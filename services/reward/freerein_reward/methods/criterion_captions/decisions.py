@@ -1,4 +1,4 @@
-"""What a model of criteria answers: for each goal caption, which of it and its rivals it prefers."""
+"""The decisions of a model of criteria: for each goal caption, which of it and its rivals it prefers."""
 
 from collections.abc import Iterator
 

@@ -32,7 +32,7 @@ STATEMENTS: tuple[tuple[Claim, str], ...] = (
     *((claim, name) for claim in (Claim.HOLDS, Claim.FAILS) for name in CRITERIA),
     (Claim.MISSING, ""),
 )
-"""What captions say, in the order of their embeddings."""
+"""Claims of captions, in the order of their embeddings."""
 
 
 class CriterionNetwork(nn.Module):

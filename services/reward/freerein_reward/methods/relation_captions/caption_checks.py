@@ -1,4 +1,4 @@
-"""What captions of a dataset can teach: captions that hardly vary, and models that learned nothing."""
+"""Checks of a dataset's captions: those that hardly vary, and models that learned nothing from them."""
 
 from collections.abc import Mapping
 

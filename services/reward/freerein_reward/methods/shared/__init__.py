@@ -1,1 +1,1 @@
-"""What several methods use."""
+"""Shared by several methods."""

@@ -1,4 +1,4 @@
-"""What a session of the bins world sees and does, in numbers."""
+"""The spec of the bins world: cameras, actions, skills, sizes."""
 
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.bins.layout import GROCERIES

@@ -46,7 +46,7 @@ _FAILURES = (
 
 @dataclass(frozen=True, eq=False)
 class EngineObservation:
-    """What the player sees, and where it is.
+    """The player's frame and pose.
 
     Attributes:
         frame: uint8 (120, 160), gray.

@@ -1,4 +1,4 @@
-"""What a session of the doom world sees and does, in numbers. Lengths are in map units, headings in degrees."""
+"""The spec of the doom world: cameras, actions, skills, sizes. Lengths are in map units, headings in degrees."""
 
 from collections.abc import Collection
 
@@ -15,7 +15,7 @@ NO_OP, FORWARD, LEFT, RIGHT = range(4)
 EXPLORATION = (Repeats(0.05, 2), *(Repeats(0.95 / 3, 5) for _ in (FORWARD, LEFT, RIGHT)))
 """How the choices are drawn in exploration, and for how many actions each is repeated (appendix A)."""
 
-ENGINE_HEIGHT, ENGINE_WIDTH = 120, 160
+ENGINE_HEIGHT = 120
 ALONG_PATH = "heading-along-path"
 _START = "start-room-"
 

@@ -1,4 +1,4 @@
-"""What a session of the office world sees and does, in numbers. Lengths are in metres, headings in degrees."""
+"""The spec of the office world: cameras, actions, skills, sizes. Lengths are in metres, headings in degrees."""
 
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.conditions import LIGHT_CONDITIONS, Condition

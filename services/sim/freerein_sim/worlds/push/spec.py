@@ -1,4 +1,4 @@
-"""What a session of the push world sees and does, in numbers."""
+"""The spec of the push world: cameras, actions, skills, sizes."""
 
 from collections.abc import Sequence
 

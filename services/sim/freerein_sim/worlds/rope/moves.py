@@ -1,4 +1,4 @@
-"""What the experts of the rope world have in common: moves, and a rope laid down in a given curve move by move."""
+"""Shared by the experts of the rope world: moves, and a rope laid down in a given curve move by move."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from freerein_sim.worlds.rope.knots import Points
 from freerein_sim.worlds.rope.simulation import Place, RopeWorld
-from freerein_sim.worlds.rope.spec import LINK_M, LINKS
+from freerein_sim.worlds.rope.spec import LINK_M
 
 Curve = npt.NDArray[np.float64]
 """float64 (25, 2): places of the middles of the links, x and y in metres."""
@@ -44,10 +44,6 @@ class RopeView:
         """Middles of the links."""
         points = self.points[:, :2]
         return np.asarray((points[1:] + points[:-1]) / 2)
-
-    def world_link(self, link: int) -> int:
-        """Returns the world's number of a link."""
-        return LINKS - 1 - link if self.is_reversed else link
 
 
 def lay_down(rope: RopeView, curve: Curve, *, tolerance_m: float, most: int) -> Iterator[Move]:

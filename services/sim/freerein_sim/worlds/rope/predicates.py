@@ -30,7 +30,7 @@ def is_s_shape(points: Points) -> bool:
 
 
 SHAPES: dict[str, Callable[[Points], bool]] = {KNOT: is_knotted, S_SHAPE: is_s_shape}
-"""What holds of the rope where a skill has been executed."""
+"""Predicates that hold where a skill has been executed."""
 
 
 def _has_shape(shape: Callable[[Points], bool], states: States) -> Flags:

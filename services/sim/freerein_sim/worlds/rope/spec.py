@@ -1,4 +1,4 @@
-"""What a session of the rope world sees and does, in numbers. Lengths are in metres."""
+"""The spec of the rope world: cameras, actions, skills, sizes. Lengths are in metres."""
 
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.world import WorldSpec

@@ -157,7 +157,7 @@ class TabletopWorld(MujocoWorld):
 
     @property
     def held(self) -> things.Thing | None:
-        """What the hand holds."""
+        """The thing in the hand."""
         return next((thing for thing, weld in zip(things.THINGS, self._data.eq_active, strict=True) if weld), None)
 
     @property

@@ -1,4 +1,4 @@
-"""What a session of the tabletop world sees and does, in numbers."""
+"""The spec of the tabletop world: cameras, actions, skills, sizes."""
 
 from freerein.types.common import ActionSpec, Camera
 from freerein_sim.worlds.tabletop.predicates import STATE_NAMES

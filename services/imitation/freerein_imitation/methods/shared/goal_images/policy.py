@@ -1,4 +1,4 @@
-"""How a network that follows goal images acts."""
+"""The policy around a network that follows goal images."""
 
 import numpy as np
 import numpy.typing as npt
