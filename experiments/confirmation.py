@@ -167,4 +167,5 @@ EXPERIMENT = SegmentationExperiment(
     report=Report(
         "confirmation", title="One recipe on new test trajectories", text=words("confirmation"), targets=_TARGETS
     ),
+    sources=("development",),
 )

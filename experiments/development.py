@@ -6,6 +6,7 @@ from experiments.segmentation.dataset import DatasetSpec, SplitSpec
 from experiments.segmentation.experiment import SegmentationExperiment
 from experiments.segmentation.methods import (
     CAUSAL,
+    CHOSEN,
     LOOKAHEAD,
     WHOLE,
     objectives,
@@ -40,7 +41,7 @@ EXPERIMENT = SegmentationExperiment(
                 replace(ours_after(LOOKAHEAD), seeds=2),
                 ours_after("lookahead-10"),
                 replace(_then("self_training", "self_training"), seeds=2),
-                _then("set_likelihood", "set_likelihood"),
+                _then(CHOSEN, CHOSEN),
                 *(replace(each, seeds=2) for each in objectives("lse_per_timestep", contexts=(WHOLE,))),
                 *objectives("lse", contexts=(CAUSAL, WHOLE)),
                 supervised(CAUSAL, WHOLE),

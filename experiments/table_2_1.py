@@ -78,4 +78,5 @@ EXPERIMENT = SegmentationExperiment(
             Target("grid_plain", _WITHOUT, _OURS_WITHOUT, least_gap_closed=0.75),
         ),
     ),
+    sources=("development",),
 )

@@ -90,4 +90,5 @@ EXPERIMENT = SegmentationExperiment(
             ),
         ),
     ),
+    sources=("development",),
 )

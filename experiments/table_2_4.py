@@ -73,4 +73,5 @@ EXPERIMENT = SegmentationExperiment(
         dissertation_trajectories={TABLETOP: _TRAIN, OWN_OBJECTS: _TRAIN},
         targets=(Target("tabletop", TABLETOP, _OURS, seeds=5, above_row=Row(_FIXED_SPLIT), first_trial=_LOOKED_AT),),
     ),
+    sources=("development",),
 )

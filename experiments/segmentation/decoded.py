@@ -12,10 +12,11 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from experiments.segmentation.evaluation import FRAME_ACCURACY
+from experiments.segmentation.evaluation import DECODED_ACCURACY, FRAME_ACCURACY
 from experiments.segmentation.guesses import TRUTH
+from experiments.segmentation.methods import CHOSEN, RECIPE
 from experiments.segmentation.packed import PACKED, PACKED_DECODED, unpack
-from experiments.segmentation.rows import PER_CENT, Row, Rows
+from experiments.segmentation.rows import LEAST_GAP, PER_CENT, PUBLISHED, Row, Rows
 from experiments.workbench import claims
 from experiments.workbench.results import ArmResult, Sample
 from freerein import metrics
@@ -64,6 +65,35 @@ class Decoded:
     def value(self, change: Callable[[Labels], Labels]) -> float:
         """Returns the accuracy of changed labels in per cent, as a mean over networks."""
         return PER_CENT * claims.mean(self.samples(change))
+
+
+def delays(development: Rows) -> dict[Row, int]:
+    """Returns by how many timesteps decoded labels come late, by row of the development world; the recipe is one."""
+    found = {row: Decoded.of(development, row) for row in development.arms if row.context}
+    late = {row: labels.best_delay() for row, labels in found.items() if labels is not None}
+    return late | {Row(RECIPE, row.context): by for row, by in late.items() if row.method == CHOSEN}
+
+
+def moved_value(rows: Rows, row: Row) -> float | None:
+    """Returns the accuracy of a row's decoded labels, moved by its delay, in per cent; None where one is missing."""
+    labels = Decoded.of(rows, row) if row in rows.delays else None
+    return None if labels is None else labels.value(partial(moved, timesteps=rows.delays[row]))
+
+
+def moved_gap(rows: Rows, row: Row) -> float | None:
+    """Returns the share of the gap from the best published objective to full supervision, all decoded and moved.
+
+    The labels of full supervision are where they are. None where a row is missing, or there is no gap.
+    """
+    published = [moved_value(rows, each) for each in rows.arms if each.method in PUBLISHED]
+    if (value := moved_value(rows, row)) is None:
+        return None
+    return claims.gap_closed(
+        value,
+        baseline=max((value for value in published if value is not None), default=None),
+        ceiling=rows.ceiling(row, f"test.{DECODED_ACCURACY}"),
+        least_gap=LEAST_GAP,
+    )
 
 
 def _unpacked(arm: ArmResult, name: str) -> list[Labels]:

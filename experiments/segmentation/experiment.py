@@ -72,10 +72,12 @@ class SegmentationExperiment(Experiment):
     Attributes:
         studies: The studies, of one world each.
         report: The table's words, the dissertation's figures, and the claims.
+        sources: As in `Experiment`; the development world says by how much labels are moved.
     """
 
     studies: tuple[Study, ...]
     report: Report
+    sources: tuple[str, ...] = ()
 
     @property
     def arms(self) -> tuple[Arm, ...]:
@@ -135,9 +137,9 @@ class SegmentationExperiment(Experiment):
         return outcome
 
     def table(self, results: Sequence[ArmResult]) -> Table:
-        """Returns the table of the arms that have results."""
-        by_name = {result.name: result for result in results}
-        ordered = [by_name[arm.name] for arm in self.arms if arm.name in by_name]
+        """Returns the table of the arms that have results, which may be those of `sources`, too."""
+        order = {arm.name: place for place, arm in enumerate(self.arms)}
+        ordered = sorted(results, key=lambda result: order.get(result.name, len(order)))
         return report.table(self.report, self.studies, ordered)
 
     def _study(self, world: str) -> Study:

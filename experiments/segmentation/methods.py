@@ -12,7 +12,10 @@ OURS, OURS_FROM_LSE, OURS_AFTER, RECIPE = "ours", "ours_from_lse", "ours_after",
 LEARNING_RATES = (5e-4, 1.5e-3, 5e-3, 1.5e-2)
 """Peak learning rates that every method tries."""
 
-_RECIPE: dict[str, JSON] = {"objective": "lse_per_timestep", "final_objective": "set_likelihood"}
+CHOSEN = "set_likelihood"
+"""The method of `development` that is the recipe."""
+
+_RECIPE: dict[str, JSON] = {"objective": "lse_per_timestep", "final_objective": CHOSEN}
 
 
 def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tuple[Method, ...]:

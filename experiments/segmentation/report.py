@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from experiments.segmentation.dataset import SPLITS, SplitName
-from experiments.segmentation.decoded import Decoded, moved
+from experiments.segmentation.decoded import Decoded, delays, moved_value
 from experiments.segmentation.evaluation import ACTION_LOSS, DECODED_ACCURACY, FRAME_ACCURACY
 from experiments.segmentation.guesses import TRUTH, in_equal_parts
 from experiments.segmentation.rows import LEAST_GAP, PER_CENT, Row, Rows
@@ -45,7 +45,7 @@ _CLAIM_HEADER = (
     "figure",
     "value, % [95 % interval]",
     "must reach",
-    "gap closed: from lse, from the best baseline; decoded, from lse, from the best",
+    "gap closed: from lse, from the best baseline; decoded, from lse, from the best; moved, from the best",
     "met",
     "missing",
 )
@@ -80,8 +80,8 @@ def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]
 
     A world's scale is `full` when a network sees at least the dissertation's number of training trajectories.
     """
-    by_world = {study.world: (study, Rows.of(results, study.world)) for study in studies}
-    development = Rows.of(results, DEVELOPMENT)
+    late = delays(Rows.of(results, DEVELOPMENT))
+    by_world = {study.world: (study, Rows.of(results, study.world, delays=late)) for study in studies}
     sections, made, plotted = [], [], []
     targets = [target for target in report.targets if by_world[target.world][1].chosen(target.rows)]
     cells_of_targets = []
@@ -99,7 +99,7 @@ def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]
                 if row.method != TRUTH
             }
             shown = [row for row in rows.arms if row.method != TRUTH]
-            cells_of_rows = tuple(_row_cells(rows, row, of_rows[row], development) for row in shown)
+            cells_of_rows = tuple(_row_cells(rows, row, of_rows[row]) for row in shown)
             sections.append(Section(_ROW_HEADER, cells_of_rows, title=f"{study.world}: {_scale_text(report, study)}"))
             made += [claim for each in of_rows.values() for claim in each]
             plotted += [each[-1] for each in of_rows.values()]
@@ -179,26 +179,23 @@ def _target_cells(target: Target, claim: Claim, rows: Rows) -> tuple[str, ...]:
         target.figure,
         _value_cell(claim),
         "" if claim.target is None else f"{claim.target:.2f}",
-        f"{', '.join(gaps[:2])}; {', '.join(gaps[2:])}" if any(gaps) else "",
+        f"{', '.join(gaps[:2])}; {', '.join(gaps[2:4])}; {gaps[4]}" if any(gaps) else "",
         "yes" if claim.met else "no",
         "; ".join(missing),
     )
 
 
-def _decoded_cells(rows: Rows, row: Row, development: Rows) -> tuple[str, ...]:
+def _decoded_cells(rows: Rows, row: Row) -> tuple[str, ...]:
     """Returns how late skills begin, and accuracies of decoded labels that are moved, or of their order alone."""
-    decoded, developed = Decoded.of(rows, row), Decoded.of(development, row)
+    decoded, moved = Decoded.of(rows, row), moved_value(rows, row)
     if decoded is None:
         return "", "", ""
     mean, deviation = decoded.boundary_error()
-    moved_cell = ""
-    if developed is not None:
-        by = developed.best_delay()
-        moved_cell = f"{decoded.value(partial(moved, timesteps=by)):.2f} (by {by})"
+    moved_cell = "" if moved is None else f"{moved:.2f} (by {rows.delays[row]})"
     return f"{mean:+.1f} ± {deviation:.1f}", moved_cell, f"{decoded.value(in_equal_parts):.2f}"
 
 
-def _row_cells(rows: Rows, row: Row, made: Sequence[Claim], development: Rows) -> tuple[str, ...]:
+def _row_cells(rows: Rows, row: Row, made: Sequence[Claim]) -> tuple[str, ...]:
     test, arms = made[-1], rows.arms[row]
     rates = sorted({arm.figures["lr"] for arm in arms if "lr" in arm.figures})
     decoded = _DECODED_FIGURES if row.context else ()
@@ -210,7 +207,7 @@ def _row_cells(rows: Rows, row: Row, made: Sequence[Claim], development: Rows) -
         *(f"{PER_CENT * rows.mean(row, name):.2f}" for name in _SEGMENT_FIGURES),
         *(f"{PER_CENT * rows.mean(row, name):.2f}" for name in decoded),
         *("" for _ in range(len(_DECODED_FIGURES) - len(decoded))),
-        *_decoded_cells(rows, row, development),
+        *_decoded_cells(rows, row),
         "" if test.gap_closed is None else f"{test.gap_closed:.2f}",
         f"{rows.mean(row, ACTION_LOSS):.3f}" if row.context else "",
         ", ".join(f"{rate:g}" for rate in rates),

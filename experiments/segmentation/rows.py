@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -50,18 +50,24 @@ def dissertation(table: str) -> dict[str, dict[Row, tuple[float, float, float]]]
 
 @dataclass(frozen=True)
 class Rows:
-    """The arms of one world that have results, by row in their order."""
+    """The arms of one world that have results, by row in their order.
+
+    Attributes:
+        arms: By row.
+        delays: By how many timesteps the labels of a row come late in the development world.
+    """
 
     arms: Mapping[Row, Sequence[ArmResult]]
+    delays: Mapping[Row, int] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, results: Sequence[ArmResult], world: str) -> "Rows":
+    def of(cls, results: Sequence[ArmResult], world: str, *, delays: Mapping[Row, int] | None = None) -> "Rows":
         """Returns the rows of a world."""
         rows: dict[Row, list[ArmResult]] = {}
         for result in results:
             if result.world == world:
                 rows.setdefault(Row(result.method, result.options.get("context", "")), []).append(result)
-        return cls(rows)
+        return cls(rows, delays or {})
 
     def chosen(self, candidates: Iterable[Row]) -> Row | None:
         """Returns the row that is chosen without true labels, by the first seed, from those that are decided.
