@@ -74,10 +74,10 @@ def delays(development: Rows) -> dict[Row, int]:
     return late | {Row(RECIPE, row.context): by for row, by in late.items() if row.method == CHOSEN}
 
 
-def moved_value(rows: Rows, row: Row) -> float | None:
-    """Returns the accuracy of a row's decoded labels, moved by its delay, in per cent; None where one is missing."""
+def moved_samples(rows: Rows, row: Row) -> list[Sample]:
+    """Returns the frame accuracy of a row's decoded labels, moved by its delay, by network; empty where it has none."""
     labels = Decoded.of(rows, row) if row in rows.delays else None
-    return None if labels is None else labels.value(partial(moved, timesteps=rows.delays[row]))
+    return [] if labels is None else labels.samples(partial(moved, timesteps=rows.delays[row]))
 
 
 def moved_gap(rows: Rows, row: Row) -> float | None:
@@ -85,12 +85,12 @@ def moved_gap(rows: Rows, row: Row) -> float | None:
 
     The labels of full supervision are where they are. None where a row is missing, or there is no gap.
     """
-    published = [moved_value(rows, each) for each in rows.arms if each.method in PUBLISHED]
-    if (value := moved_value(rows, row)) is None:
+    if not (samples := moved_samples(rows, row)):
         return None
+    published = [moved_samples(rows, each) for each in rows.arms if each.method in PUBLISHED]
     return claims.gap_closed(
-        value,
-        baseline=max((value for value in published if value is not None), default=None),
+        PER_CENT * claims.mean(samples),
+        baseline=max((PER_CENT * claims.mean(each) for each in published if each), default=None),
         ceiling=rows.ceiling(row, f"test.{DECODED_ACCURACY}"),
         least_gap=LEAST_GAP,
     )

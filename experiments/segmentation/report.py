@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from experiments.segmentation.dataset import SPLITS, SplitName
-from experiments.segmentation.decoded import Decoded, delays, moved_value
+from experiments.segmentation.decoded import Decoded, delays, moved_samples
 from experiments.segmentation.evaluation import ACTION_LOSS, DECODED_ACCURACY, FRAME_ACCURACY
 from experiments.segmentation.guesses import TRUTH, in_equal_parts
 from experiments.segmentation.rows import LEAST_GAP, PER_CENT, Row, Rows
@@ -102,6 +102,7 @@ def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]
             cells_of_rows = tuple(_row_cells(rows, row, of_rows[row]) for row in shown)
             sections.append(Section(_ROW_HEADER, cells_of_rows, title=f"{study.world}: {_scale_text(report, study)}"))
             made += [claim for each in of_rows.values() for claim in each]
+            made += [_moved_claim(report, study, rows, row) for row in shown if moved_samples(rows, row)]
             plotted += [each[-1] for each in of_rows.values()]
     draw = partial(interval_plot, plotted, title=report.title, unit="frame accuracy on test trajectories, per cent")
     return Table(
@@ -136,7 +137,6 @@ def _claim(
         raise ValueError(f"The results of {row} must have samples of {figure}.")
     baseline, ceiling = rows.baseline(row, figure), rows.ceiling(row, figure)
     gap_closed = claims.gap_closed(value, baseline=baseline, ceiling=ceiling, least_gap=LEAST_GAP)
-    pattern = arms[0].name.removesuffix(str(arms[0].seed)) + "*"
     least = None if target is None else target.least_value(rows)
     return claims.claim_of(
         name,
@@ -151,8 +151,13 @@ def _claim(
         dissertation=_dissertation(report, study.world, row, figure) if target is None else target.above,
         target=None if least is None else round(least, 3),
         met=None if target is None else not target.missing(rows) and _scale(report, study) != "reduced",
-        command=f"python -m experiments run {report.experiment} --only '{pattern}'",
+        command=_command(report, arms),
     )
+
+
+def _command(report: Report, arms: Sequence[ArmResult]) -> str:
+    pattern = arms[0].name.removesuffix(str(arms[0].seed)) + "*"
+    return f"python -m experiments run {report.experiment} --only '{pattern}'"
 
 
 def _dissertation(report: Report, world: str, row: Row, figure: str) -> float | None:
@@ -164,6 +169,13 @@ def _dissertation(report: Report, world: str, row: Row, figure: str) -> float | 
 def _row_claim(report: Report, study: Study, rows: Rows, row: Row, split: SplitName) -> Claim:
     name = ".".join([report.experiment, study.world, *filter(None, row), split])
     return _claim(report, study, rows, name=name, row=row, figure=f"{split}.{FRAME_ACCURACY}")
+
+
+def _moved_claim(report: Report, study: Study, rows: Rows, row: Row) -> Claim:
+    name = ".".join([report.experiment, study.world, *row, "moved"])
+    arms, samples = rows.arms[row], moved_samples(rows, row)
+    scale, command = _scale(report, study), _command(report, arms)
+    return claims.claim_of(name, arms, samples, unit=PER_CENT, seeds=len(samples), scale=scale, command=command)
 
 
 def _target_claim(report: Report, study: Study, rows: Rows, target: Target) -> Claim:
@@ -187,11 +199,11 @@ def _target_cells(target: Target, claim: Claim, rows: Rows) -> tuple[str, ...]:
 
 def _decoded_cells(rows: Rows, row: Row) -> tuple[str, ...]:
     """Returns how late skills begin, and accuracies of decoded labels that are moved, or of their order alone."""
-    decoded, moved = Decoded.of(rows, row), moved_value(rows, row)
+    decoded, samples = Decoded.of(rows, row), moved_samples(rows, row)
     if decoded is None:
         return "", "", ""
     mean, deviation = decoded.boundary_error()
-    moved_cell = "" if moved is None else f"{moved:.2f} (by {rows.delays[row]})"
+    moved_cell = f"{PER_CENT * claims.mean(samples):.2f} (by {rows.delays[row]})" if samples else ""
     return f"{mean:+.1f} ± {deviation:.1f}", moved_cell, f"{decoded.value(in_equal_parts):.2f}"
 
 
