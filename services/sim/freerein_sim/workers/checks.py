@@ -35,7 +35,7 @@ def check(task: TaskDefinition, request: CheckRequest) -> CheckResponse:
 
 
 def _asked(task: TaskDefinition, name: str) -> StatePredicate | StateMeasure:
-    offered = (*task.predicates, *task.measures)
+    offered: tuple[StatePredicate | StateMeasure, ...] = (*task.predicates, *task.measures)
     for each in offered:
         if each.name == name:
             return each
