@@ -127,11 +127,9 @@ class GoalRecognizerLearner(Learner[GoalRecognizerNetwork]):
     def evaluate(self, state: TrainState[GoalRecognizerNetwork]) -> float:
         """Returns the mean loss on validation trajectories, on the same pairs each time."""
         rng, windows = np.random.default_rng(self.config.seed), self.validation.windows(self.config.far_steps)
-        items = np.resize(windows, _VALIDATION_BATCHES * self.config.batch_size)
-        parts = [
-            self._loss(state.network, self.validation, batch.tolist(), rng)
-            for batch in np.array_split(items, _VALIDATION_BATCHES)
-        ]
+        spread = np.linspace(0, len(windows) - 1, _VALIDATION_BATCHES * self.config.batch_size).astype(np.int64)
+        batches = windows[spread].reshape(self.config.batch_size, _VALIDATION_BATCHES).T  # each of all trajectories
+        parts = [self._loss(state.network, self.validation, batch.tolist(), rng) for batch in batches]
         return torch.stack(parts).mean().item()
 
     def calibrate(self, network: GoalRecognizerNetwork) -> None:

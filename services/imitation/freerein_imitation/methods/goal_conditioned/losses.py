@@ -8,6 +8,8 @@ from scratch the policy would follow a model that knows nothing yet:
 3. joint: both, by eq. 3.4, or with `forward_target=pixels` by eq. 3.3.
 """
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -107,8 +109,9 @@ class GoalConditionedLearner(GoalImagesLearner[GoalConditionedNetwork]):
         """Returns the probability from which a goal counts as reached: of `stop`, its median at held-out goals."""
         if network.policy.stop_head is None:
             return super().reached_threshold(network)
-        windows = self.validation.windows(self.config.max_goal_steps).tolist()
-        slices = self._slices(self.validation, windows[:_THRESHOLD_WINDOWS], np.random.default_rng(self.config.seed))
+        windows, rng = self.validation.windows(self.config.max_goal_steps), np.random.default_rng(self.config.seed)
+        spread = windows[:: math.ceil(len(windows) / _THRESHOLD_WINDOWS)].tolist()
+        slices = self._slices(self.validation, spread, rng)
         codes, seen = network.policy.encode(slices.frames), slices.timesteps_to_goals
         context, _ = network.policy(codes[seen], codes[slices.goals], slices.previous[seen])  # (S, L + 1, C)
         at_goals = context[torch.arange(len(seen)), slices.lengths]  # (S, C)
