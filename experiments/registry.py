@@ -17,6 +17,7 @@ EXPERIMENTS = (
     "teachers",
     "first_session",
     "demo",
+    "doom",
     "smoke",
 )
 """Names of the experiments; each is a module of this package with the attribute `EXPERIMENT`."""

@@ -14,6 +14,7 @@ from freerein.serving.lifecycle import Service
 from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.types.sim import (
+    Behaviour,
     CreateSessionRequest,
     ExpertActionsRequest,
     Recipe,
@@ -41,6 +42,7 @@ CASES = [
     ("ExpertActions", PRIVILEGED, {"recipes": (Recipe(("no-such",)),) * 2}, "invalid_input"),
     ("ExpertActions", PRIVILEGED, {"recipes": (Recipe(("pick-red",) * 257),) * 2}, "invalid_input"),
     ("ExpertActions", UNPRIVILEGED, {}, "failed_precondition"),
+    ("ExpertActions", UNPRIVILEGED, {"behaviour": "random"}, "failed_precondition"),
     ("ExpertActions", "0" * 32, {}, "session_not_found"),
     ("Reset", PRIVILEGED, {"seed": 3, "recipes": (Recipe(("pick-red",)), Recipe())}, ANSWER),
     ("Reset", PRIVILEGED, {"recipes": (Recipe(("pick-red",)), Recipe(("pick-red", "pick-red")))}, "invalid_input"),
@@ -115,7 +117,10 @@ async def test_single_envs_are_restored_alike_over_every_transport(
     assert (outcome if code == ANSWER else outcome[0]) == (code or [{"step_id": 1}])
 
 
-async def test_the_experts_of_equal_sessions_act_alike_over_every_transport(transports: Any) -> None:
+@pytest.mark.parametrize("behaviour", ["expert", "random"])
+async def test_the_scripted_policies_of_equal_sessions_act_alike_over_every_transport(
+    transports: Any, behaviour: Behaviour
+) -> None:
     recipes = (Recipe(("pick-red",)), Recipe())
-    requests = [ExpertActionsRequest(await create(transports), recipes) for _ in transports.all]
+    requests = [ExpertActionsRequest(await create(transports), recipes, behaviour) for _ in transports.all]
     assert isinstance(await transports.outcome("ExpertActions", *requests), list)

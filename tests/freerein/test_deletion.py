@@ -33,6 +33,7 @@ RUN = "8bc1f7" + "0" * 26
 SPEC = DatasetSpec(fps=10, cameras={"top": (4, 5, 3)}, action=ActionSpec(2, 0, ("x", "y")), robot_type="arm")
 DISTILL = {"dataset": "demos", "model_name": "tiny", "dagger_iterations": 2}
 POLICY = {"policy": {"model": "tiny", "version": "1" * 12}}
+RECOGNIZER = {"recognizer": "tiny", "recognizer_version": "1" * 12}
 
 
 @pytest.fixture
@@ -144,6 +145,7 @@ def test_a_job_whose_child_has_not_ended_is_not_deleted_yet(tmp_path: Path) -> N
         ("runs", {"config": {"steps": [{"config": DISTILL}]}}, names_dataset("demos.1")),
         ("runs", {"kind": "distill", "config": DISTILL}, names_model(ModelRef("tiny.1", "1" * 12))),
         ("runs", {"config": {"reward_model": "tiny"}}, names_model(ModelRef("tiny", "1" * 12))),
+        ("fits/imitation", {"config": RECOGNIZER}, names_model(ModelRef("tiny", "1" * 12))),
         ("runs", {"config": POLICY}, names_model(ModelRef("tiny", "1" * 12))),
         ("runs", {"config": {"init_from": RUN}}, names_run(RUN)),
         ("runs", {"config": {"policy": {"run": RUN[:8]}}}, names_run(RUN)),

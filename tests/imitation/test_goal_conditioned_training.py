@@ -1,6 +1,6 @@
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +17,8 @@ from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods.goal_conditioned.config import GoalConditionedConfig
 from freerein_imitation.methods.goal_conditioned.losses import GoalConditionedLearner
 from freerein_imitation.methods.goal_conditioned.network import GoalConditionedNetwork, GoalConditionedSpec
-from freerein_imitation.methods.shared.goal_images.losses import reached_threshold
 from freerein_imitation.methods.shared.goal_images.policy import GoalImagesPolicy
+from freerein_imitation.methods.shared.goal_images.recognizer_losses import reached_threshold
 from freerein_imitation.methods.shared.goal_images.relabelling import RecognizerBatch, sample_slices
 from freerein_imitation.model.policy import ControlSpec
 
@@ -98,6 +98,53 @@ def test_unseen_goals_are_reached_and_recognised(tmp_path: Path) -> None:
     assert 0.5 < threshold < 1.0
 
 
+def test_an_action_of_its_own_tells_that_the_goal_is_reached(tmp_path: Path) -> None:
+    made = learner(replace(FAST, stop=True, encoder="patch", steps=120))
+    fitted = fit(made, tmp_path)
+    assert fitted is not None
+    assert fitted.network.recognizer is None
+    made.calibrate(fitted.network)
+    policy = GoalImagesPolicy(fitted.network, ControlSpec(0.1, made.reached_threshold(fitted.network), 20))
+    followed, reached = explore(32, seed=5), []
+    seen = np.stack(frames_of(followed))
+    goals = policy.encode_goals({"front": seen[:, 8]})
+    previous, memory = np.zeros((32, 2), np.float32), np.zeros((32, policy.spec.recurrent_size), np.float32)
+    for timestep in range(9):
+        step = policy.step({"front": seen[:, timestep]}, goals, previous, memory)
+        memory, previous = step.recurrent, np.stack([each[timestep] for each in followed.actions])
+        reached.append(step.reached)
+    assert metrics.auroc(np.concatenate(reached), np.arange(9).repeat(32) == 8) > 0.9
+    assert reached[0].max() < policy.spec.reached_threshold < reached[-1].max()
+    assert (step.in_distribution > 0).any()
+
+
+def test_a_policy_without_recurrence_has_no_state_and_time_for_far_goals() -> None:
+    made = learner(replace(FAST, recurrent=False, min_goal_steps=1, max_goal_steps=1))
+    state = made.init(torch.Generator().manual_seed(0))
+    assert set(made.update(state, np.arange(2))[1]) == {"train_loss", "action_loss", "recognizer_loss"}
+    assert GoalImagesPolicy(state.network, ControlSpec(0.1, 0.5, 30)).spec.recurrent_size == 0
+    assert (made.max_steps_per_goal, learner().max_steps_per_goal) == (20, 20)
+    assert learner(replace(FAST, max_goal_steps=6)).max_steps_per_goal == 12
+
+
+@pytest.mark.parametrize("head", ["autoregressive", "map"])
+@pytest.mark.parametrize("method_keys", [{}, {"stop": True}, {"forward_consistency_weight": 0.1}])
+def test_heads_of_pick_and_place_learn_with_all_else(head: str, method_keys: dict[str, Any]) -> None:
+    action, seen = ActionSpec(4, 0, ("x", "y", "dx", "dy")), explore(4, seed=0, length=15)
+    picks = [np.concatenate([each, 0.5 * each], axis=1) for each in seen.actions]
+    data = Trajectories(seen.frames, picks)
+    config = replace(FAST, steps=2, min_goal_steps=1, max_goal_steps=2, recurrent=False, head=head, **method_keys)
+    made = learner(config, (data, data), action=action)
+    state = made.init(torch.Generator().manual_seed(0))
+    before = {name: each.clone() for name, each in state.network.policy.named_parameters("policy")}
+    state, _ = made.update(state, np.arange(4))
+    assert all(not torch.equal(each, before[name]) for name, each in state.network.policy.named_parameters("policy"))
+    policy, frames = GoalImagesPolicy(state.network, ControlSpec(0.1, 0.5, 30)), {"front": frames_of(seen)[0][:3]}
+    acted = policy.step(frames, policy.encode_goals(frames), np.zeros((3, 4), np.float32), np.zeros((3, 0), np.float32))
+    assert acted.actions.shape == (3, 1, 4)
+    assert np.abs(acted.actions).max() <= 1
+
+
 def test_held_out_frames_have_every_in_distribution_score_alike_and_noise_has_low_ones(tmp_path: Path) -> None:
     config = replace(FAST, steps=40, warmup_steps=5, evaluate_every=40, features=128)
     made = learner(config, (explore(40, seed=0), explore(20, seed=1)))
@@ -151,8 +198,7 @@ def test_a_forward_model_is_trained_alone_then_the_policy_then_both(
 
     state.network.zero_grad()
     slices = sample_slices(data, [0, 1], np.random.default_rng(0), steps=(5, 10), device=CPU)
-    _, auxiliary = made.policy_losses(state.network, slices)
-    auxiliary.backward()  # type: ignore[no-untyped-call]  # torch does not annotate it
+    made.policy_losses(state.network, slices).auxiliary.backward()  # type: ignore[no-untyped-call]  # torch does not annotate it
     taught = {
         name.split(".")[1] for name, each in state.network.policy.named_parameters("policy") if each.grad is not None
     }

@@ -4,9 +4,10 @@ import pytest
 import torch
 
 from freerein_imitation.methods.goal_cloning.losses import absolute_error
+from freerein_imitation.methods.goal_conditioned.losses import stop_loss
 from freerein_imitation.methods.shared import action_bins
-from freerein_imitation.methods.shared.goal_images.losses import recognizer_loss
-from freerein_imitation.methods.shared.goal_images.network import proximity_logit
+from freerein_imitation.methods.shared.goal_images.recognizer import proximity_logit
+from freerein_imitation.methods.shared.goal_images.recognizer_losses import recognizer_loss
 from freerein_imitation.methods.shared.losses import action_cross_entropy, masked_mean, squared_error, termination_loss
 
 
@@ -71,3 +72,10 @@ def test_timesteps_in_neither_mask_do_not_count() -> None:
     termination_loss(logits, torch.tensor([True, False, False]), torch.tensor([False, True, False])).backward()  # type: ignore[no-untyped-call]
     assert logits.grad is not None
     assert logits.grad[2] == 0
+
+
+def test_stopping_is_right_at_the_goal_alone_and_padding_counts_for_nothing() -> None:
+    logits = torch.tensor([[-50.0, -50.0, 50.0, 50.0], [-50.0, -50.0, -50.0, 50.0]])
+    assert stop_loss(logits, torch.tensor([2, 3])).item() == pytest.approx(0, abs=1e-6)
+    assert stop_loss(torch.zeros(2, 4), torch.tensor([1, 3])).item() == pytest.approx(math.log(2))
+    assert stop_loss(logits, torch.tensor([3, 3])).item() == pytest.approx(50 / 8)

@@ -18,6 +18,9 @@ from freerein.learning.encoders import FrameTensors
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.inputs import InputSpec
 from freerein.types.common import ActionSpec, Camera
+from freerein_imitation.core.inference import InferenceRequest, PolicyRunner
+from freerein_imitation.core.inputs import Subgoal
+from freerein_imitation.core.policy_state import PolicyState
 from freerein_imitation.methods import METHODS
 from freerein_imitation.methods.goal_cloning.network import GoalCloningNetwork, GoalCloningSpec
 from freerein_imitation.methods.goal_cloning.policy import GoalCloningPolicy
@@ -210,6 +213,34 @@ def test_the_previous_action_can_be_ignored() -> None:
     frame, goal, previous, recurrent = inputs(CASES["goals"], policy, 1)
     moved = policy.step(frame, goal, previous + 1, recurrent)
     np.testing.assert_array_equal(policy.step(frame, goal, previous, recurrent).actions, moved.actions)
+
+
+def test_equal_calls_of_a_policy_that_samples_have_equal_actions_and_others_are_drawn_anew() -> None:
+    spec = GoalConditionedSpec(**DISCRETE, features=16, hidden_size=12, temperature=1.0, recurrent=False)
+    policy, frames = GoalImagesPolicy(goal_network(spec), CONTROL), images(spec, 4)
+    assert policy.spec.draws == 1
+    assert GoalImagesPolicy(goal_network(replace(spec, temperature=0.0)), CONTROL).spec.draws == 0
+    goals = tuple(Subgoal(bytes([n]) * 16, {"front": frames["front"][n]}) for n in range(2))
+
+    def request(step: int, seen: int = 2, goal: int = 0) -> InferenceRequest:
+        state = PolicyState(np.zeros(0, np.float32), goal_steps=step)
+        frame = {"front": frames["front"][seen]}
+        previous = policy.spec.action.no_action()
+        return InferenceRequest(policy, "0" * 12, goals[goal : goal + 1], frame, previous, state, 0, 10_000)
+
+    def acted(*requests: InferenceRequest) -> list[int]:
+        return [each.actions.item() for each in PolicyRunner().run_batch(requests)]  # type: ignore[union-attr]
+
+    drawn = acted(*map(request, range(400)))
+    assert drawn[:100] == [acted(request(step))[0] for step in range(100)]
+    network = policy._network
+    codes, goal = network(tensors({"front": frames["front"][[2, 0]]})).split(1)
+    context, _ = network.policy.step(codes, goal, torch.tensor([[-1]]), torch.zeros(1, 0))
+    expected = network.policy.action_head.distribution(network.policy.action_head.logits(context, context))[0]
+    shares = np.bincount(drawn, minlength=4) / 400
+    np.testing.assert_allclose(shares, expected.detach().numpy(), atol=0.08)
+    for other in ({"seen": 3}, {"goal": 1}):
+        assert acted(*(request(step, **other) for step in range(50))) != drawn[:50]
 
 
 def test_an_unknown_skill_is_refused() -> None:

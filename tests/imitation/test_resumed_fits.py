@@ -18,14 +18,13 @@ from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_imitation.methods import METHODS
 
 TINY = {
-    "hidden_size": 8,
     "batch_size": 2,
     "steps": 12,
     "evaluate_every": 4,
     "checkpoint_every": 5,
     "log_every": 3,
 }
-SMALL_EYE = {"encoder": "patch", "features": 8}
+SMALL_EYE = {"encoder": "patch", "features": 8, "hidden_size": 8}
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +54,15 @@ STAGES = {"forward_consistency_weight": 0.1, "forward_pretraining_steps": 3, "po
         ("goal_conditioned", SMALL_EYE | STAGES, [1, 5, 9]),  # in each stage
         ("goal_cloning", SMALL_EYE, [7]),
         ("inverse_model", SMALL_EYE, [7]),
-        ("skills", {"steps": 18, "evaluate_every": 9}, [1, 7]),  # in the stage of the maps, and of the policy
+        ("goal_recognizer", {"encoder": "patch", "embedding_size": 8}, [7]),
+        (
+            "skills",
+            {"steps": 18, "evaluate_every": 9, "hidden_size": 8},
+            [1, 7],
+        ),  # in the stage of the maps, and of the policy
         ("skill_cloning", SMALL_EYE, [7]),
     ],
-    ids=["goal_conditioned", "goal_cloning", "inverse_model", "skills", "skill_cloning"],
+    ids=["goal_conditioned", "goal_cloning", "inverse_model", "goal_recognizer", "skills", "skill_cloning"],
 )
 def test_a_fit_that_is_stopped_goes_on_to_the_same_bits_and_another_seed_gives_others(
     method: str, change: dict[str, Any], cuts: list[int], source: FitDataset, tmp_path: Path

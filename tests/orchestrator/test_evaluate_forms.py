@@ -27,7 +27,7 @@ from freerein_orchestrator.envs.episodes import replay, run_episodes
 from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import check_predicates
 from freerein_orchestrator.kinds import KINDS
-from freerein_orchestrator.kinds.evaluate.demonstration import efficiency, times_in_order
+from freerein_orchestrator.kinds.evaluate.demonstration import efficiency, times_in_order, times_left
 from freerein_orchestrator.kinds.evaluate.form import enlarged
 from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
 from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds, known_skills, places_in_recipe
@@ -433,6 +433,13 @@ def test_landmarks_are_reached_in_order_and_skipped_ones_end_what_counts() -> No
     assert times_in_order(at[2:, :1]) == []
 
 
+def test_a_robot_has_left_a_landmark_when_its_next_goal_begins_or_at_the_end() -> None:
+    demonstrated = np.array([2, 4, 5])
+    assert times_left(np.array([0, 0, 1, 3]), demonstrated, length=4).tolist() == [2, 3, 3]
+    assert times_left(np.array([0, 1]), demonstrated, length=2).tolist() == [1, 2, 2]
+    assert times_left(None, demonstrated, length=4).tolist() == [2, 4, 4]
+
+
 def test_an_efficiency_is_of_the_way_to_the_farthest_landmark_and_at_most_one() -> None:
     demonstrated = np.array([10, 20, 25])
     assert efficiency(demonstrated, [15, 40]) == 0.5
@@ -470,6 +477,25 @@ def test_the_expert_is_the_ceiling_of_its_demonstrations(evaluation: Callable[..
     figures = {name: figure["value"] for name, figure in result["figures"].items()}
     assert figures["completion"] == figures["success"] == 1
     assert figures["efficiency"] > 0.7  # it begins turned in any direction
+
+
+@pytest.mark.e2e
+def test_numbers_of_a_task_are_reported_by_landmark_and_random_actions_are_its_explorers(
+    evaluation: Callable[..., Any],
+) -> None:
+    short = {"task": "rope", "paths": ["s-shape"], "every": 3, "length_factor": 1, "episodes": 1, "num_envs": 1}
+    expert, random = evaluation(DEMONSTRATIONS | short | {"policy": "expert"}), evaluation(DEMONSTRATIONS | short)
+    assert expert.do()
+    assert random.do()
+    last = {}
+    for name, run in (("expert", expert), ("random", random)):
+        result = run.artifact("result.json")
+        (path,) = result["paths"]
+        assert len(path["tps-rpm"]) == path["landmarks"]
+        assert result["figures"]["tps-rpm"]["value"] == pytest.approx(np.mean(path["tps-rpm"]))
+        last[name] = result["figures"]["tps-rpm.last"]["value"]
+    assert last["expert"] < last["random"]
+    assert random.artifact("result.json")["explorer"]
 
 
 def check_medians(result: dict[str, Any], *names: str) -> None:

@@ -11,9 +11,9 @@ from freerein.types.sim import CheckRequest, DemonstrateRequest, Recipe
 from freerein_sim.workers.checks import check
 from freerein_sim.workers.demonstrations import make_demonstration
 from freerein_sim.workers.vector_env import VectorEnv
-from freerein_sim.worlds import blocks, grid
+from freerein_sim.worlds import blocks, doom, grid, rope
 
-GRID, SCATTER = grid.TASKS[0], blocks.TASKS[1]
+GRID, SCATTER, ROPE = grid.TASKS[0], blocks.TASKS[1], rope.TASKS[0]
 STATES = np.zeros((2, 3, 12))
 RED = Recipe(("pick-red",))
 
@@ -31,6 +31,8 @@ def test_a_predicate_judges_each_state() -> None:
 
     response = check(GRID, CheckRequest("", "completed/pick-red", states))
 
+    assert response.holds is not None
+    assert response.values is None
     assert response.holds.dtype == np.bool_
     assert response.holds.tolist() == [[False] * 3, [False, False, True]]
 
@@ -41,6 +43,7 @@ def test_states_are_compared_with_references() -> None:
 
     response = check(GRID, CheckRequest("", "at-landmark", STATES, references))
 
+    assert response.holds is not None
     assert response.holds.tolist() == [[True, False, True], [True] * 3]
 
 
@@ -75,6 +78,51 @@ def test_an_unknown_predicate_is_answered_by_those_there_are() -> None:
         check(GRID, CheckRequest("", "no-such", STATES))
 
     assert "at-landmark, object-moves, completed/pick-red" in caught.value.hint
+
+
+def test_a_measure_is_a_number_of_each_state() -> None:
+    line = np.zeros((26, 3))
+    line[:, 0] = np.linspace(-0.3, 0.3, 26)
+    bent, turned = line + np.abs(line[:, [1, 0, 1]]), line[:, [1, 0, 2]]
+    states = np.stack([line, turned, bent]).reshape(1, 3, -1)
+    references = np.broadcast_to(line.reshape(-1), states.shape)
+
+    response = check(ROPE, CheckRequest("", "tps-rpm", states, references))
+
+    assert response.holds is None
+    assert response.values is not None
+    assert response.values.dtype == np.float64
+    np.testing.assert_allclose(response.values[0, :2], 0, atol=1e-5)
+    assert response.values[0, 2] > 0.02
+    assert [(each.name, each.unit) for each in ROPE.describe().measures] == [("tps-rpm", "m")]
+
+
+def test_a_measure_refuses_what_is_no_rope_and_takes_one_that_is_a_point() -> None:
+    point = np.zeros((1, 1, 78))
+    for many, field in ((np.zeros((33, 1, 78)), "states"), (np.full((1, 1, 78), 1e200), "states")):
+        with pytest.raises(InvalidInput) as caught:
+            check(ROPE, CheckRequest("", "tps-rpm", many, many))
+        assert caught.value.field == field
+    values = check(ROPE, CheckRequest("", "tps-rpm", point, point)).values
+    assert values is not None
+    assert values.tolist() == [[0.0]]
+
+
+def test_random_exploration_is_the_tasks_own_and_changes_no_later_episode() -> None:
+    assert doom.TASKS[0].describe().has_explorer
+    assert not GRID.describe().has_explorer
+    with closing(VectorEnv(ROPE, num_envs=1, seed=0)) as envs, closing(VectorEnv(ROPE, num_envs=1, seed=0)) as idle:
+        envs.reset()
+        idle.reset()
+        first = envs.expert_actions(behaviour="random")
+        assert first.skills.tolist() == [-1]
+        assert not first.finished.any()
+        for each in (envs, idle):
+            each.step(first.actions)
+        assert not np.array_equal(envs.expert_actions(behaviour="random").actions, first.actions)
+        envs.reset()
+        idle.reset()
+        assert envs.snapshot() == idle.snapshot()
 
 
 def test_the_expert_needs_an_episode_and_recipes_that_fit() -> None:

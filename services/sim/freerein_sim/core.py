@@ -188,11 +188,11 @@ class SimCore:
         return await worker.call(request, sim.DrawRecipesResponse)
 
     async def check(self, request: sim.CheckRequest) -> sim.CheckResponse:
-        """Returns where a predicate of a privileged session's task holds."""
+        """Returns where a predicate of a privileged session's task holds, or what a measure is."""
         return await self._call(request, sim.CheckResponse, lambda session: session.check_privileged("Check"))
 
     async def expert_actions(self, request: sim.ExpertActionsRequest) -> sim.ExpertActionsResponse:
-        """Returns the scripted expert's next actions in a privileged session, as `VectorEnv.expert_actions`."""
+        """Returns a scripted policy's next actions in a privileged session, as `VectorEnv.expert_actions`."""
         return await self._call(
             request, sim.ExpertActionsResponse, lambda session: session.check_privileged("ExpertActions")
         )

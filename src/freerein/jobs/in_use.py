@@ -56,8 +56,11 @@ def names_model(ref: ModelRef) -> IsNamed:
     """Returns whether a job names a model: this version of it, or none, which may have been chosen since."""
     keys = ("model", "reward_model")
     return lambda _, config: any(
-        ref.name in (*map(part.get, keys), _shared_name(part), *_iterations(part, "model_name"))
-        and part.get("version", "") in ("", ref.version)
+        (
+            ref.name in (*map(part.get, keys), _shared_name(part), *_iterations(part, "model_name"))
+            and part.get("version", "") in ("", ref.version)
+        )
+        or (part.get("recognizer") == ref.name and part.get("recognizer_version", "") in ("", ref.version))
         for part in _objects(config)
     )
 

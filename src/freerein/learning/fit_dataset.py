@@ -32,6 +32,11 @@ class FitDataset:
         """Returns the dataset of a name; raises as `freerein.data.lookup.open_dataset`."""
         return cls(dataset_path(data_dir, name), open_dataset(data_dir, name))
 
+    @property
+    def data_dir(self) -> Path:
+        """The data directory, where models lie beside datasets."""
+        return self.root.parents[1]
+
     def cameras(self, names: Sequence[str]) -> tuple[Camera, ...]:
         """Returns cameras with their frame sizes."""
         return tuple(Camera(name, *self.dataset.spec.cameras[name]) for name in names)

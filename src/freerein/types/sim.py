@@ -18,9 +18,7 @@ class Predicate:
     """A statement about true states, for evaluation.
 
     Attributes:
-        name: `at-landmark` (robot and objects are where the reference has them), `object-moves` (some object is not),
-            `lifted/SKILL` (the skill's object has risen since the first state), `completed/SKILL` (the skill was
-            executed since then), `start/WHAT` (how the sequence began), or a name of the world's own.
+        name: One that worlds share, such as `at-landmark` (see the contract), or one of the world's own.
         text: What it states, as a caption; empty where no image could show it.
         group: Predicates of one group exclude each other: at most one holds in a state. Empty for no group.
         needs_reference: Whether it compares each state with a reference, such as a landmark's state.
@@ -33,19 +31,25 @@ class Predicate:
 
 
 @dataclass(frozen=True)
+class Measure:
+    """A number of true states, in a physical unit if it has one; it may compare each state with a reference."""
+
+    name: str
+    unit: str = ""
+    needs_reference: bool = False
+
+
+@dataclass(frozen=True)
 class Task:
     """A world with an optional goal and its oracle.
 
     Attributes:
         goal_text: Goal in words; empty for a task without a goal.
-        control_dt_s: Time between two actions, in seconds.
         skills: Skills that the expert can execute; empty without an expert.
         max_episode_steps: Steps after which an episode is truncated.
-        predicates: What a privileged session can check.
-        has_expert: Whether the task has a scripted expert.
         conditions: Named variations with which a session can be created.
-        min_skills: Fewest skills of a recipe.
-        max_skills: Most skills of a recipe; conditions may allow fewer.
+        min_skills, max_skills: Fewest and most skills of a recipe; conditions may allow fewer.
+        has_explorer: Whether its random exploration is its own. Otherwise it is smooth random actions.
     """
 
     name: str
@@ -61,6 +65,8 @@ class Task:
     conditions: tuple[str, ...] = ()
     min_skills: int = 0
     max_skills: int = 0
+    has_explorer: bool = False
+    measures: tuple[Measure, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,7 +90,7 @@ class CreateSessionRequest:
         seed: Environment i draws from SeedSequence(seed).spawn(num_envs)[i]; None: the server draws a seed.
         lease_s: Time without a call after which the session ends, in seconds; 0 means 60.
         height, width: Frame size in pixels; 0 means the cameras' own.
-        privileged: Whether replies include `Truth`. For evaluation only.
+        privileged: Whether replies include `Truth`; for evaluation only.
         idempotency_key: The same key and request returns the session already created; empty for none.
         conditions: Conditions of the task, at most one of each group, in any order; empty for the nominal task.
         max_episode_steps: Steps after which an episode is truncated; 0 means the task's own.
@@ -140,9 +146,8 @@ class ResetRequest:
     """Begins new episodes.
 
     Attributes:
-        envs: Indices of environments; empty for all.
+        envs, cameras: Environments to reset, empty for all; cameras to render, empty for no frames.
         seed: Re-seeds the generators before the reset; None keeps them.
-        cameras: Cameras to render; empty for no frames.
         recipes: What each environment's episode requires, if it is reset; empty for what the world draws.
     """
 
@@ -166,9 +171,8 @@ class StepRequest:
     """One action for each environment.
 
     Attributes:
-        step_id: 1 for the session's first step, then one more each time; the last one repeated returns its reply.
-        actions: float32 or int64 (N, size), matching the task's `ActionSpec`.
-        cameras: Cameras to render; empty for no frames.
+        step_id: 1 for the first step, then one more each time; the last one repeated returns its reply.
+        actions, cameras: float32 or int64 (N, size), as the task's `ActionSpec` says; cameras to render, if any.
         action_repeat: Timesteps that each action is held for, or until the episode ends; 0 means 1.
     """
 
@@ -186,8 +190,7 @@ class StepResponse:
     Attributes:
         frames: By camera: uint8 (N, H, W, C); of the new episode where one ended.
         reward: float32 (N,), always 0: the oracle reward is in `truth`.
-        terminated: bool (N,), whether the episode terminated.
-        truncated: bool (N,), whether the episode was truncated at `max_episode_steps`.
+        terminated, truncated: bool (N,), whether the episode terminated, or was truncated at `max_episode_steps`.
         diverged: bool (N,), whether the simulation diverged; `terminated` is then true, too.
         final_frames: By camera: uint8 (M, H, W, C), the last frame of each of the M episodes that ended, in order.
         truth: Only in a privileged session; of the state before any reset.
@@ -280,15 +283,11 @@ class DemonstrateRequest:
 
     Attributes:
         skills: Skills to choose from; empty for all of the task.
-        min_skills: Fewest different skills in one trajectory; 0 means the fewest of a recipe of the task.
-        max_skills: Most different skills in one trajectory; 0 means as many of `skills` as a recipe may have.
-        count: Number of trajectories.
-        seed: Trajectory i is drawn from SeedSequence(seed).spawn(count)[i].
-        first: Index of the first trajectory to send.
-        cameras: Cameras to record; empty for the task's first.
+        min_skills, max_skills: Fewest and most different skills in one trajectory; 0 means those of the task's recipes.
+        count, seed: Trajectory i is drawn from SeedSequence(seed).spawn(count)[i].
+        first, cameras: Index of the first trajectory to send; cameras to record, empty for the task's first.
         height, width: Frame size in pixels; 0 means the camera's own.
-        privileged: Whether replies include `labels`. For evaluation only.
-        conditions: As of `CreateSessionRequest`.
+        privileged, conditions: Whether replies include `labels`, for evaluation only; as of `CreateSessionRequest`.
     """
 
     task: str
@@ -311,7 +310,6 @@ class DemonstrateResponse:
     """One trajectory.
 
     Attributes:
-        index: Index of the trajectory, counted from the request's `first`.
         labels: int64 (T,), index of the skill at each timestep, into the task's skills; empty unless privileged.
     """
 
@@ -342,11 +340,11 @@ class DrawRecipesResponse:
 
 @dataclass(frozen=True, eq=False)
 class CheckRequest:
-    """Asks a privileged session where a predicate of its task holds.
+    """Asks a privileged session where a predicate of its task holds, or what a measure of it is.
 
     Attributes:
         states: float64 (N, T, S), true states of N sequences of T timesteps.
-        references: float64 (N, T, S), what each state is compared with; only where the predicate needs a reference.
+        references: float64 (N, T, S), what each is compared with; only where one is needed.
     """
 
     session: str
@@ -357,29 +355,31 @@ class CheckRequest:
 
 @dataclass(frozen=True, eq=False)
 class CheckResponse:
-    """Where the predicate holds: bool (N, T), at each timestep, given the sequence up to there."""
+    """Where the predicate holds at each timestep, given the sequence up to there, or what the measure is: (N, T)."""
 
-    holds: npt.NDArray[np.bool_]
+    holds: npt.NDArray[np.bool_] | None = None
+    values: npt.NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
 class ExpertActionsRequest:
-    """Asks a privileged session for the scripted expert's next actions; to be called once before each step.
+    """Asks a privileged session for a scripted policy's next actions; to be called once before each step.
 
     `recipes` has one of each environment, read by the first call of its episode; empty for the episode's own.
     """
 
     session: str
     recipes: tuple[Recipe, ...] = ()
+    behaviour: Behaviour = "expert"
 
 
 @dataclass(frozen=True, eq=False)
 class ExpertActionsResponse:
-    """The expert's actions in the current states.
+    """The policy's actions in the current states.
 
     Attributes:
-        actions: float32 or int64 (N, size); 0 where the expert has finished.
-        finished: bool (N,), whether the expert has finished.
+        actions: float32 or int64 (N, size); 0 where the policy has finished.
+        finished: bool (N,), whether the policy has finished.
         skills: int64 (N,), index of the skill that the action belongs to, into the task's skills; -1 for none.
     """
 

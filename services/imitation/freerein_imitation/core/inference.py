@@ -5,6 +5,7 @@ state is reset, but for what a policy remembers of the robot, and a second forwa
 next goal.
 """
 
+import hashlib
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -16,8 +17,8 @@ import numpy.typing as npt
 
 from freerein.errors import OutputNotFinite, ServiceError
 from freerein.types.imitation import Done, DoneBy
-from freerein_imitation.core.inputs import Subgoal
-from freerein_imitation.core.policy_state import PolicyState
+from freerein_imitation.core.inputs import Subgoal, goal_digest
+from freerein_imitation.core.policy_state import PolicyState, encode_state
 from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput
 
 _CACHE_BYTES = 32 * 2**20
@@ -129,12 +130,14 @@ class PolicyRunner:
         """Returns the policy's output for each request's observation and current goal."""
         policy = requests[0].policy
         robot_states = [request.robot_state for request in requests if request.robot_state is not None]
+        sampling = {"draws": _stack([_draws(request) for request in requests])} if policy.spec.draws else {}
         output = policy.step(
             _stack_frames([request.frames for request in requests]),
             self._encode_goals(requests),
             _stack([request.previous for request in requests]),
             _recurrent_states(requests),
             _stack(robot_states) if robot_states else None,
+            **sampling,
         )
         _check_shapes(policy, output, len(requests))
         finite = _finite(output)
@@ -174,6 +177,21 @@ def _recurrent_states(requests: Sequence[InferenceRequest]) -> npt.NDArray[np.fl
     policy, recurrent = requests[0].policy, _stack([request.state.recurrent for request in requests])
     unobserved = np.array([max(request.elapsed - 1, 0) for request in requests], np.int64)
     return policy.skip_steps(recurrent, unobserved) if unobserved.any() else recurrent
+
+
+def _draws(request: InferenceRequest) -> npt.NDArray[np.float64]:
+    """Returns uniform numbers in [0, 1) that a hash of the policy's state and the observation gives, float64 (U,).
+
+    Equal calls have equal actions. The frames are hashed, too: the state of a policy without recurrence counts steps
+    alone, so that all robots with one goal would draw alike.
+    """
+    spec, goal = request.policy.spec, goal_digest(request.goals)
+    state = encode_state(request.state, version=request.version, goal_digest=goal, pixels=spec.recurrent_pixels)
+    digest = hashlib.shake_256(state)
+    for camera in spec.cameras:
+        digest.update(request.frames[camera.name].tobytes())
+    words = np.frombuffer(digest.digest(8 * spec.draws), "<u8")
+    return (words >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 def _stack(arrays: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:

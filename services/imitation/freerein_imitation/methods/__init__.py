@@ -3,7 +3,15 @@
 from types import MappingProxyType
 
 from freerein.learning.methods import Methods
-from freerein_imitation.methods import goal_cloning, goal_conditioned, inverse_model, language, skill_cloning, skills
+from freerein_imitation.methods import (
+    goal_cloning,
+    goal_conditioned,
+    goal_recognizer,
+    inverse_model,
+    language,
+    skill_cloning,
+    skills,
+)
 from freerein_imitation.model import ppo
 from freerein_imitation.model.policy import Policy
 
@@ -17,6 +25,7 @@ METHODS: Methods[Policy] = Methods(
             "skill_cloning": skill_cloning.METHOD,
             "language": language.METHOD,
             "inverse_model": inverse_model.METHOD,
+            "goal_recognizer": goal_recognizer.METHOD,
         }
     ),
     made_elsewhere=MappingProxyType({ppo.METHOD: ppo.load}),

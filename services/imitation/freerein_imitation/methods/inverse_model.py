@@ -11,14 +11,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from freerein.config import bounded
-from freerein.learning.encoders import ENCODERS, CameraEncoders
-from freerein_imitation.methods.shared import action_bins
 from freerein_imitation.methods.shared.goal_images.config import GoalImagesConfig
-from freerein_imitation.methods.shared.goal_images.losses import GoalImagesLearner
+from freerein_imitation.methods.shared.goal_images.losses import GoalImagesLearner, PolicyLosses
 from freerein_imitation.methods.shared.goal_images.method import goal_images_method
-from freerein_imitation.methods.shared.goal_images.network import GoalImagesNetwork, GoalImagesSpec
+from freerein_imitation.methods.shared.goal_images.network import ActionNetwork, GoalImagesNetwork, GoalImagesSpec
 from freerein_imitation.methods.shared.goal_images.relabelling import RelabelledSlices
-from freerein_imitation.methods.shared.losses import action_cross_entropy, masked_mean
+from freerein_imitation.methods.shared.losses import masked_mean
 
 
 @dataclass(frozen=True)
@@ -43,27 +41,22 @@ class InverseModelNetwork(GoalImagesNetwork):
         super().__init__(spec, InverseModel(spec))
 
 
-class InverseModel(nn.Module):
+class InverseModel(ActionNetwork):
     """P(a_t | phi(x_t), phi(x_g))."""
 
-    recurrent_size = 0
-
     def __init__(self, spec: GoalImagesSpec) -> None:
-        super().__init__()
-        self._shape = spec.action.size, spec.categories
-        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
+        super().__init__(spec)
         self.hidden = nn.Linear(2 * self.encoder.size, spec.hidden_size)
-        self.action_head = nn.Linear(spec.hidden_size, spec.action.size * spec.categories)
+        self.action_head = spec.make_head(spec.hidden_size)
 
-    def forward(self, features: Tensor, goal: Tensor) -> Tensor:
-        """Returns action logits, float32 (..., A, categories), for phi(x_t) and phi(x_g), float32 (..., D) each."""
-        hidden = functional.relu(self.hidden(torch.cat([features, goal], dim=-1)))
-        logits: Tensor = self.action_head(hidden)  # (..., A * categories)
-        return logits.view(*logits.shape[:-1], *self._shape)
+    def forward(self, codes: Tensor, goals: Tensor) -> Tensor:
+        """Returns contexts, float32 (..., C), for codes of observations and goals, float32 (..., code size) each."""
+        features = torch.cat([each[..., : self.encoder.size] for each in (codes, goals)], dim=-1)
+        return self.context(functional.relu(self.hidden(features)), codes, goals)
 
-    def step(self, features: Tensor, goal: Tensor, _previous: Tensor, recurrent: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the logits of one action, and the empty recurrent states; see `ActionNetwork.step`."""
-        return self(features, goal)[:, None], recurrent
+    def step(self, codes: Tensor, goals: Tensor, _previous: Tensor, recurrent: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns contexts, and the empty recurrent states; see `ActionNetwork.step`."""
+        return self(codes, goals), recurrent
 
 
 class InverseModelLearner(GoalImagesLearner[InverseModelNetwork]):
@@ -78,14 +71,14 @@ class InverseModelLearner(GoalImagesLearner[InverseModelNetwork]):
         """Returns an untrained network."""
         return InverseModelNetwork(self.spec)
 
-    def policy_losses(self, network: InverseModelNetwork, slices: RelabelledSlices) -> tuple[Tensor, Tensor]:
-        """Returns the action loss, eq. 3.2, and 0."""
-        features = network.policy.encoder(slices.frames)  # (N, D)
+    def policy_losses(self, network: InverseModelNetwork, slices: RelabelledSlices) -> PolicyLosses:
+        """Returns the action loss, eq. 3.2."""
+        codes, head = network.policy.encode(slices.frames), network.policy.action_head  # (N, code size)
         at = slices.timesteps  # (S, L)
-        logits = network.policy(features[at], features[slices.goals][:, None].expand(-1, at.shape[1], -1))
-        executed = action_bins.encode(slices.actions[at], choices=self.spec.action.choices)  # (S, L, A, categories)
-        action = masked_mean(action_cross_entropy(logits, executed), slices.mask)
-        return action, action.new_zeros(())
+        context = network.policy(codes[at], codes[slices.goals][:, None].expand(-1, at.shape[1], -1))
+        executed = head.target(slices.actions[at])
+        action = masked_mean(head.loss(head.logits(context, executed), executed), slices.mask)
+        return PolicyLosses(action, action.new_zeros(()))
 
 
 METHOD = goal_images_method(InverseModelConfig, GoalImagesSpec, InverseModelNetwork, InverseModelLearner)

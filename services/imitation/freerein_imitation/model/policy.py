@@ -92,6 +92,7 @@ class PolicySpec(ControlSpec):
         recurrent_pixels: How many of the last of them are pixels of earlier frames, whole numbers of 0 to 255; `state`
             has a byte for each.
         predicts_reached: Whether it predicts that a goal is reached.
+        draws: U, uniform numbers that its actions are sampled by; 0 for a policy whose actions are not.
     """
 
     cameras: tuple[Camera, ...]
@@ -105,6 +106,7 @@ class PolicySpec(ControlSpec):
     recurrent_size: int = 0
     recurrent_pixels: int = 0
     predicts_reached: bool = True
+    draws: int = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -168,6 +170,8 @@ class Policy(ABC):
         previous: npt.NDArray[Any],
         recurrent: npt.NDArray[np.float32],
         robot_state: npt.NDArray[np.float32] | None = None,
+        *,
+        draws: npt.NDArray[np.float64] | None = None,
     ) -> PolicyOutput:
         """Returns actions, the probability that the goal is reached, and the in-distribution score.
 
@@ -177,6 +181,7 @@ class Policy(ABC):
             previous: Actions executed last, float32 (B, A) or int64 (B, 1); `ActionSpec.no_action` for none.
             recurrent: Recurrent state, float32 (B, R); zeros at the start of a goal, but for `reset_goal_state`.
             robot_state: The robot's own state, float32 (B, S); None where S is 0.
+            draws: Uniform numbers in [0, 1) to sample actions by, float64 (B, U); None for the likeliest actions.
         """
 
     def skip_steps(self, recurrent: npt.NDArray[np.float32], _steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:

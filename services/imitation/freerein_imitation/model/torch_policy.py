@@ -46,6 +46,7 @@ class StepInputs(NamedTuple):
     previous: Tensor
     recurrent: Tensor
     robot_state: Tensor | None
+    draws: Tensor | None
 
 
 class StepOutputs(NamedTuple):
@@ -92,10 +93,13 @@ class TorchPolicy(Policy, Generic[N]):
         previous: npt.NDArray[Any],
         recurrent: npt.NDArray[np.float32],
         robot_state: npt.NDArray[np.float32] | None = None,
+        *,
+        draws: npt.NDArray[np.float64] | None = None,
     ) -> PolicyOutput:
         """Returns the output for B observations; see `Policy.step`."""
-        seen, felt = self._tensors(frames), None if robot_state is None else self._tensor(robot_state)
-        inputs = StepInputs(seen, self._tensor(goals), self._tensor(previous), self._tensor(recurrent), felt)
+        seen = self._tensors(frames)
+        felt, drawn = (None if each is None else self._tensor(each) for each in (robot_state, draws))
+        inputs = StepInputs(seen, self._tensor(goals), self._tensor(previous), self._tensor(recurrent), felt, drawn)
         output = self._step(inputs)
         score = self._network.in_distribution
         familiarity = score(score.distance(image_statistics(seen)), output.confidence)

@@ -160,6 +160,22 @@ def expert_policy(sim: SyncClient, task: Task) -> PolicyHandle:
     return PolicyHandle(lambda session: _ExpertPolicy(sim, task, session), {"policy": "expert"})
 
 
+def explorer_policy(sim: SyncClient) -> PolicyHandle:
+    """Returns the explorer of a task that has one of its own, which acts in privileged sessions."""
+    return PolicyHandle(lambda session: _Explorer(sim, session.id), {"policy": "random", "explorer": True})
+
+
+@dataclass(frozen=True)
+class _Explorer:
+    """Asks the sim service, which knows what the explorer may."""
+
+    sim: SyncClient
+    session: str
+
+    def act(self, _frames: Mapping[str, Frames], _episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
+        return PolicyOutput(self.sim.expert_actions(ExpertActionsRequest(self.session, behaviour="random")).actions)
+
+
 @dataclass(frozen=True)
 class _StoredPolicy:
     """Acts with a network."""

@@ -1,8 +1,9 @@
-"""Predicates of a task on true states, judged by the sim service in a privileged session. For evaluation only."""
+"""Predicates and measures of a task on true states, by the sim service in a privileged session. For evaluation only."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,8 @@ Flags = npt.NDArray[np.bool_]
 
 _MAX_ROWS = 1_000_000
 """Limit of the sim service for one request."""
+_MAX_MEASURED_ROWS = 16
+"""Rows of a measure in one request: half of what the sim service takes, which is seconds of work."""
 _MAX_VALUES = 4_000_000
 """Numbers per request: 32 MB, half of what a message may hold."""
 
@@ -43,9 +46,18 @@ class TruthSession:
         for part in _parts(sequences, paired=bool(references)):
             states = sequences[part]
             request = CheckRequest(self.id, predicate, _pad(states), _pad(references[part]) if references else None)
-            reply = self.sim.check(request)
-            found += [row[: len(each)] for row, each in zip(reply.holds, states, strict=True)]
+            holds = cast(Flags, self.sim.check(request).holds)
+            found += [row[: len(each)] for row, each in zip(holds, states, strict=True)]
         return found
+
+    def values(self, measure: str, states: States, references: States) -> npt.NDArray[np.float64]:
+        """Returns a measure of states by references, in its unit, float64 (T,); both are float64 (T, S)."""
+        parts = []
+        for first in range(0, len(states), _MAX_MEASURED_ROWS):
+            rows = slice(first, first + _MAX_MEASURED_ROWS)
+            request = CheckRequest(self.id, measure, states[rows][None], references[rows][None])
+            parts.append(cast(npt.NDArray[np.float64], self.sim.check(request).values)[0])
+        return np.concatenate(parts)
 
 
 @contextmanager

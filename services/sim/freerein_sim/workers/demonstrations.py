@@ -9,7 +9,7 @@ from freerein.types.common import Camera, Trajectory
 from freerein.types.sim import DemonstrateRequest, DemonstrateResponse, DrawRecipesRequest, DrawRecipesResponse, Recipe
 from freerein_sim.worlds.episodes import RecordedEpisode, record_episode, record_expert
 from freerein_sim.worlds.generators import generator
-from freerein_sim.worlds.random_policy import SmoothRandomPolicy
+from freerein_sim.worlds.random_policy import explorer_of
 from freerein_sim.worlds.recipes import recipe_lengths
 from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec, no_expert, sized_cameras, skill_indices
 
@@ -59,8 +59,8 @@ def _act(
     if recipe is not None:
         return record_expert(world, recipe, rng, cameras=views)
     world.reset(rng)
-    policy = task.explorer(world, rng) if task.explorer else SmoothRandomPolicy(world.spec.action, rng)
-    return record_episode(world, policy, cameras=views, max_steps=world.spec.max_episode_steps)
+    explorer = explorer_of(task, world, rng)
+    return record_episode(world, explorer, cameras=views, max_steps=world.spec.max_episode_steps)
 
 
 def _response(spec: WorldSpec, request: DemonstrateRequest, made: RecordedEpisode) -> DemonstrateResponse:

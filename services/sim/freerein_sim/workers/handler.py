@@ -166,7 +166,7 @@ def _answer_in_session(envs: VectorEnv, request: object) -> object:
         case sim.CheckRequest():
             response = check(envs.task, request)
         case sim.ExpertActionsRequest():
-            response = envs.expert_actions(request.recipes)
+            response = envs.expert_actions(request.recipes, behaviour=request.behaviour)
         case _:
             raise TypeError(f"no answer to {type(request).__name__}")
     return response

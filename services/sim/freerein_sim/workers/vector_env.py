@@ -10,6 +10,7 @@ import numpy.typing as npt
 from freerein.errors import FailedPrecondition, InvalidInput, must_be
 from freerein.types.common import Camera
 from freerein.types.sim import (
+    Behaviour,
     CameraFrames,
     ExpertActionsResponse,
     Recipe,
@@ -20,6 +21,7 @@ from freerein.types.sim import (
 )
 from freerein_sim.workers import snapshots
 from freerein_sim.worlds import generators
+from freerein_sim.worlds.random_policy import explorer_of
 from freerein_sim.worlds.varied_world import build
 from freerein_sim.worlds.world import (
     NO_SKILL,
@@ -80,7 +82,7 @@ class VectorEnv:
         self._worlds = [build(task, conditions) for _ in range(num_envs)]
         self._rngs = _generators(seed, num_envs)
         self._steps = np.zeros(num_envs, np.int64)
-        self._experts: dict[int, ScriptedPolicy] = {}  # by environment, of the current episode
+        self._scripted: dict[tuple[int, Behaviour], ScriptedPolicy] = {}  # by environment, of the current episode
         self._is_reset = False
         self._tried_views: set[Camera] = set()
 
@@ -151,23 +153,26 @@ class VectorEnv:
         names = cameras or [camera.name for camera in self.task.spec.cameras]
         return RenderResponse(self._frames(self._cameras(names, height, width), range(self.num_envs)))
 
-    def expert_actions(self, recipes: Sequence[Recipe] = ()) -> ExpertActionsResponse:
-        """Returns the scripted expert's next actions; to be called once before each step.
+    def expert_actions(
+        self, recipes: Sequence[Recipe] = (), *, behaviour: Behaviour = "expert"
+    ) -> ExpertActionsResponse:
+        """Returns a scripted policy's next actions; to be called once before each step.
 
-        The first call after an environment's reset or restore makes its expert, which draws from a jump of the
+        The first call after an environment's reset or restore makes its policy, which draws from a jump of the
         environment's generator: later episodes do not depend on it.
 
         Args:
             recipes: Recipe of each environment, read when its expert is made. None, or an empty one, means the recipe
                 of the episode, or all of the task's skills in order where episodes have none.
+            behaviour: The expert, or random exploration.
         """
         self._check_reset("ExpertActions")
-        self._experts |= {
-            i: expert_of(self._worlds[i])(recipe.skills, generators.jumped(self._rngs[i]))
+        self._scripted |= {
+            (i, behaviour): self._make_scripted(i, recipe.skills, behaviour)
             for i, recipe in enumerate(self._recipes(recipes))
-            if i not in self._experts
+            if (i, behaviour) not in self._scripted
         }
-        chosen = [self._experts[i].act() for i in range(self.num_envs)]
+        chosen = [self._scripted[i, behaviour].act() for i in range(self.num_envs)]
         hold = np.maximum(self.task.spec.action.hold_action(), 0)  # the first choice where none holds
         return ExpertActionsResponse(
             actions=np.stack([hold if each is None else each.action for each in chosen]),
@@ -210,7 +215,7 @@ class VectorEnv:
         self._restore_worlds(states)
         for i, env in states.items():
             self._steps[i] = env.steps
-            self._experts.pop(i, None)
+            self._forget_scripted(i)
         if not envs:
             self._rngs = [env.rng for env in state.envs]
             self.step_id = state.step_id
@@ -233,7 +238,14 @@ class VectorEnv:
     def _begin(self, env: int, recipe: Sequence[str] = ()) -> None:
         self._worlds[env].reset(self._rngs[env], recipe=recipe)
         self._steps[env] = 0
-        self._experts.pop(env, None)
+        self._forget_scripted(env)
+
+    def _make_scripted(self, env: int, recipe: Sequence[str], behaviour: Behaviour) -> ScriptedPolicy:
+        world, rng = self._worlds[env], generators.jumped(self._rngs[env])
+        return expert_of(world)(recipe, rng) if behaviour == "expert" else explorer_of(self.task, world, rng)
+
+    def _forget_scripted(self, env: int) -> None:
+        self._scripted = {key: policy for key, policy in self._scripted.items() if key[0] != env}
 
     def _frames(self, views: Sequence[Camera], envs: Sequence[int]) -> CameraFrames:
         frames = {view.name: np.empty((len(envs), view.height, view.width, view.channels), np.uint8) for view in views}

@@ -3,11 +3,16 @@
 import numpy as np
 
 from freerein.types.common import ActionSpec
-from freerein_sim.worlds.world import NO_SKILL, LabelledAction
+from freerein_sim.worlds.world import NO_SKILL, LabelledAction, ScriptedPolicy, TaskDefinition, World
 
 _MEAN_HOLD_STEPS = 6.0
 _SMOOTHING = 0.5
 _EXTREME_PROBABILITY = 0.3
+
+
+def explorer_of(task: TaskDefinition, world: World, rng: np.random.Generator) -> ScriptedPolicy:
+    """Returns what explores in a world of a task: the task's own explorer, or smooth random actions."""
+    return task.explorer(world, rng) if task.explorer else SmoothRandomPolicy(world.spec.action, rng)
 
 
 class SmoothRandomPolicy:

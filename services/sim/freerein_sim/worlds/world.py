@@ -12,6 +12,7 @@ from freerein.errors import InvalidInput, Unimplemented, must_be
 from freerein.types.common import ActionSpec, Camera, check_name
 from freerein_sim.worlds import camera_effects
 from freerein_sim.worlds.conditions import Condition
+from freerein_sim.worlds.measures import StateMeasure
 from freerein_sim.worlds.predicates import StatePredicate
 from freerein_sim.worlds.recipes import RandomOrder, RecipeSampler
 
@@ -213,6 +214,7 @@ class TaskDefinition:
         version: Version of the world, the same for all of its tasks; raised where it behaves differently. Results name
             it: those of another version are measured again.
         explorer: Makes what explores; None for `random_policy.SmoothRandomPolicy`.
+        measures: What can be measured on true states.
     """
 
     name: str
@@ -225,6 +227,7 @@ class TaskDefinition:
     recipes: RecipeSampler = field(default_factory=RandomOrder)
     version: int = 1
     explorer: MakeExplorer | None = None
+    measures: tuple[StateMeasure, ...] = ()
 
     def __post_init__(self) -> None:
         check_name(self.name, field="task")
@@ -258,6 +261,8 @@ class TaskDefinition:
             conditions=tuple(condition.name for condition in self.conditions),
             min_skills=fewest,
             max_skills=most,
+            has_explorer=self.explorer is not None,
+            measures=tuple(measure.describe() for measure in self.measures),
         )
 
 

@@ -21,9 +21,12 @@ class GoalConditionedConfig(GoalImagesConfig):
         forward_pretraining_steps: First optimiser steps, of the forward model alone.
         policy_pretraining_steps: Next optimiser steps, of the policy alone.
         use_previous_action: Whether the policy takes the previous action as input, as in the dissertation.
+        recurrent: Whether the policy has a recurrent layer; without, a goal is abandoned after twice `far_steps`.
+        stop: Whether the policy tells by an action of its own that the goal is reached, in place of a goal recognizer.
 
     Raises:
-        InvalidInput: A key of the forward model has no effect, or pre-training leaves no step.
+        InvalidInput: A key of the forward model has no effect, pre-training leaves no step, or a recognizer is named
+            beside `stop`.
     """
 
     forward_consistency_weight: float = bounded(0.0, least=0.0, most=100.0)
@@ -32,6 +35,8 @@ class GoalConditionedConfig(GoalImagesConfig):
     forward_pretraining_steps: int = bounded(0, least=0, most=10_000_000)
     policy_pretraining_steps: int = bounded(0, least=0, most=10_000_000)
     use_previous_action: bool = True
+    recurrent: bool = True
+    stop: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -49,4 +54,10 @@ class GoalConditionedConfig(GoalImagesConfig):
                 f"Steps of pre-training must be fewer than `steps`, which they are part of; got {pretraining} of "
                 f"{self.steps}.",
                 field="config.steps",
+            )
+        if self.stop and self.recognizer:
+            raise InvalidInput(
+                "A policy with `stop` has no goal recognizer to copy; got both.",
+                field="config.recognizer",
+                hint="Leave out one of them.",
             )

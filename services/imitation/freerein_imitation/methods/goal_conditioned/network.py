@@ -8,9 +8,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
+from freerein.learning.encoders import FrameTensors
 from freerein_imitation.methods.shared import action_bins
-from freerein_imitation.methods.shared.goal_images.network import GoalImagesNetwork, GoalImagesSpec
+from freerein_imitation.methods.shared.goal_images.network import ActionNetwork, GoalImagesNetwork, GoalImagesSpec
 
 LSTMState: TypeAlias = tuple[Tensor, Tensor]
 """Hidden state and cell, float32 (1, B, units) each."""
@@ -26,11 +26,15 @@ class GoalConditionedSpec(GoalImagesSpec):
 
     Attributes:
         use_previous_action: Whether the policy takes the previous action as input, as in the dissertation.
+        recurrent: Whether the policy has a recurrent layer.
+        stop: Whether the policy tells by an action of its own that the goal is reached; there is no recognizer then.
         forward_model: Whether there is a forward model, which is needed in training only.
         forward_target: What it predicts.
     """
 
     use_previous_action: bool = True
+    recurrent: bool = True
+    stop: bool = False
     forward_model: bool = False
     forward_target: Literal["features", "pixels"] = "features"
 
@@ -43,43 +47,46 @@ class GoalConditionedNetwork(GoalImagesNetwork):
 
     def __init__(self, spec: GoalConditionedSpec) -> None:
         super().__init__(spec, SkillPolicyNetwork(spec))
-        self.forward_model = ForwardModel(spec) if spec.forward_model else None
+        self.forward_model = ForwardModel(spec, self.policy.action_head.size) if spec.forward_model else None
 
 
-class SkillPolicyNetwork(nn.Module):
+class SkillPolicyNetwork(ActionNetwork):
     """The policy pi of eq. 3.4: P(a_t | phi(x_t), phi(x_g), a_{t-1}, h_{t-1})."""
 
     def __init__(self, spec: GoalConditionedSpec) -> None:
-        super().__init__()
+        super().__init__(spec)
         self.spec = spec
-        self.recurrent_size = 2 * spec.hidden_size
-        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
         self.input_layer = nn.Linear(2 * self.encoder.size + spec.encoded_action_size, spec.hidden_size)
-        self.lstm = nn.LSTM(spec.hidden_size, spec.hidden_size, batch_first=True)
-        self.action_head = nn.Linear(2 * spec.hidden_size, spec.action.size * spec.categories)
+        self.lstm = nn.LSTM(spec.hidden_size, spec.hidden_size, batch_first=True) if spec.recurrent else None
+        hidden = 2 * spec.hidden_size if spec.recurrent else spec.hidden_size
+        self.recurrent_size = hidden if spec.recurrent else 0
+        self.action_head = spec.make_head(hidden)
+        self.stop_head = nn.Linear(hidden + 2 * self.action_head.code_size, 1) if spec.stop else None
 
     def forward(
-        self, features: Tensor, goal: Tensor, previous: Tensor, state: LSTMState | None = None
-    ) -> tuple[Tensor, LSTMState]:
-        """Returns action logits, float32 (B, T, A, categories), and the LSTM state after the last timestep.
+        self, codes: Tensor, goals: Tensor, previous: Tensor, state: LSTMState | None = None
+    ) -> tuple[Tensor, LSTMState | None]:
+        """Returns contexts, float32 (B, T, C), and the LSTM state after the last timestep, if there is an LSTM.
 
         Args:
-            features: phi(x_t), float32 (B, T, D).
-            goal: phi(x_g), float32 (B, D).
+            codes: Of observations, beginning with phi(x_t), float32 (B, T, code size).
+            goals: Of goals, beginning with phi(x_g), float32 (B, code size).
             previous: a_{t-1}, float32 (B, T, A), zeros for no action, or int64 (B, T, 1), -1 for no action.
             state: LSTM state before the first timestep; None at the start of a goal.
         """
-        inputs = torch.cat([features, goal[:, None].expand_as(features), self._previous(previous)], dim=2)
-        hidden = functional.relu(self.input_layer(inputs))  # (B, T, hidden_size)
+        ahead = goals[:, None].expand_as(codes)
+        features = [each[:, :, : self.encoder.size] for each in (codes, ahead)]
+        hidden = functional.relu(self.input_layer(torch.cat([*features, self._previous(previous)], dim=2)))
+        if self.lstm is None:
+            return self.context(hidden, codes, ahead), None
         recurrent, state = self.lstm(hidden, state)  # (B, T, hidden_size)
-        logits: Tensor = self.action_head(torch.cat([hidden, recurrent], dim=2))  # (B, T, A * categories)
-        return logits.view(*logits.shape[:2], self.spec.action.size, self.spec.categories), state
+        return self.context(torch.cat([hidden, recurrent], dim=2), codes, ahead), state
 
-    def step(self, features: Tensor, goal: Tensor, previous: Tensor, recurrent: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the logits of one action, and the next recurrent states; see `ActionNetwork.step`."""
+    def step(self, codes: Tensor, goals: Tensor, previous: Tensor, recurrent: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns contexts, and the next recurrent states; see `ActionNetwork.step`."""
         hidden, cell = (each.contiguous() for each in recurrent[None].chunk(2, dim=2))
-        logits, state = self(features[:, None], goal, previous[:, None], (hidden, cell))
-        return logits, torch.cat(state, dim=2)[0]
+        context, state = self(codes[:, None], goals, previous[:, None], (hidden, cell))
+        return context[:, 0], recurrent if state is None else torch.cat(state, dim=2)[0]
 
     def _previous(self, previous: Tensor) -> Tensor:
         if self.spec.action.choices:
@@ -90,7 +97,7 @@ class SkillPolicyNetwork(nn.Module):
 class ForwardModel(nn.Module):
     """f of eq. 3.4, or of eq. 3.3: what is observed at t + 1, from phi(x_t) and the distribution of a_t."""
 
-    def __init__(self, spec: GoalConditionedSpec) -> None:
+    def __init__(self, spec: GoalConditionedSpec, action_size: int) -> None:
         super().__init__()
         self._sizes = {
             camera.name: (min(camera.height, _PIXELS_SIDE), min(camera.width, _PIXELS_SIDE)) for camera in spec.cameras
@@ -98,7 +105,7 @@ class ForwardModel(nn.Module):
         self._predicts_pixels = spec.forward_target == "pixels"
         features = spec.features * len(spec.cameras)
         pixels = sum(camera.channels * math.prod(self._sizes[camera.name]) for camera in spec.cameras)
-        self.hidden = nn.Linear(features + spec.action.size * spec.categories, _FORWARD_HIDDEN)
+        self.hidden = nn.Linear(features + action_size, _FORWARD_HIDDEN)
         self.residual = nn.Linear(_FORWARD_HIDDEN, pixels if self._predicts_pixels else features)
 
     def observed(self, features: Tensor, frames: FrameTensors) -> Tensor:
@@ -121,9 +128,9 @@ class ForwardModel(nn.Module):
 
         Args:
             features: phi(x_t), float32 (..., D).
-            action: Target or predicted distribution of a_t, float32 (..., A, categories).
+            action: Target or predicted distributions of a_t, float32 (..., action size).
             observed: What is observed at t, float32 (..., O).
         """
-        inputs = torch.cat([features, action.flatten(-2)], dim=-1)
+        inputs = torch.cat([features, action], dim=-1)
         residual: Tensor = self.residual(functional.relu(self.hidden(inputs)))
         return observed + residual

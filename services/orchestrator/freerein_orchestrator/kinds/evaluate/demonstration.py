@@ -113,6 +113,23 @@ def times_in_order(at_landmarks: Flags) -> list[int]:
     return times
 
 
+def times_left(
+    goal_index: npt.NDArray[np.int64] | None, demonstrated: npt.NDArray[np.int64], *, length: int
+) -> npt.NDArray[np.int64]:
+    """Returns when a robot went on from each landmark, int64 (N,); its last time, T, where it did not.
+
+    Args:
+        goal_index: int64 (T,), number of landmarks that were over at each time; None for a robot that is given none: it
+            counts where the demonstration was as long.
+        demonstrated: int64 (N,), actions of the demonstration before each landmark.
+        length: T, the robot's actions.
+    """
+    if goal_index is None:
+        return np.minimum(demonstrated, length)
+    is_over = goal_index[:, None] > np.arange(len(demonstrated))  # (T, N)
+    return np.where(is_over.any(axis=0), is_over.argmax(axis=0), length)
+
+
 def efficiency(demonstrated: npt.NDArray[np.int64], times: Sequence[int]) -> float:
     """Returns the demonstration's actions by those of a robot, to the farthest landmark that it reached; at most 1.
 

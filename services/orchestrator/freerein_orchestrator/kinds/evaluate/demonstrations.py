@@ -2,7 +2,8 @@
 
 A path is a skill of the task. Its demonstration is the same in all trials; episodes begin where the path does, as the
 task's conditions say, such as in any direction. Landmarks count by true states, in order: the task's predicate
-`at-landmark` judges them, and others named `at-landmark/WHAT` beside it.
+`at-landmark` judges them, and others named `at-landmark/WHAT` beside it. Measures of the task, if any, compare the
+state in which the policy went on from each landmark with that of the landmark.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +22,13 @@ from freerein.types.sim import CreateSessionRequest, Recipe
 from freerein_orchestrator.envs.episodes import Episode, derive_seed, run_episodes
 from freerein_orchestrator.envs.true_switching import TrueSwitching
 from freerein_orchestrator.envs.truth import Flags, TruthSession, check_predicates, truth_session
-from freerein_orchestrator.kinds.evaluate.demonstration import Demonstration, demonstrate, efficiency, times_in_order
+from freerein_orchestrator.kinds.evaluate.demonstration import (
+    Demonstration,
+    demonstrate,
+    efficiency,
+    times_in_order,
+    times_left,
+)
 from freerein_orchestrator.kinds.evaluate.form import (
     FILMED,
     Figure,
@@ -95,6 +102,7 @@ class DemonstrationsEvaluation:
         self._demonstrations = [self._demonstrate(path) for path in config.paths or task.skills]
         offered = [each.name for each in task.predicates]
         self._judges = [name for name in offered if name == AT_LANDMARK or name.startswith(f"{AT_LANDMARK}/")]
+        self._measures = [each.name for each in task.measures if each.needs_reference]
         self._has_contact = CONTACT in offered
         self._completed = {f"{COMPLETED}/{each.path}" for each in self._demonstrations} <= set(offered)
         self.subject: dict[str, Any] = {**self._policy.description, "switching": config.switching}
@@ -137,10 +145,11 @@ class DemonstrationsEvaluation:
 
     def _outcomes(
         self, truth: TruthSession, episodes: Sequence[Episode], shown: Sequence[Demonstration]
-    ) -> list[dict[str, bool]]:
-        """Returns of each episode whether the path was walked, and whether the robot touched something, if known."""
-        found: list[dict[str, bool]] = [{} for _ in episodes]
+    ) -> list[dict[str, Any]]:
+        """Returns measures of each episode, whether the path was walked, and whether the robot touched something."""
+        found: list[dict[str, Any]] = []
         for env, (episode, own) in enumerate(zip(episodes, shown, strict=True)):
+            found.append(self._measured(truth, episode, own))
             if self._completed:
                 (walked,) = truth.holds(f"{COMPLETED}/{own.path}", [episode.states])
                 found[env]["success"] = bool(walked.any())
@@ -149,8 +158,14 @@ class DemonstrationsEvaluation:
                 found[env]["contact"] = bool(touched.any())
         return found
 
+    def _measured(self, truth: TruthSession, episode: Episode, shown: Demonstration) -> dict[str, list[float]]:
+        """Returns each measure where the policy went on from each landmark, by name."""
+        index = None if self._setup.config.policy == "expert" else episode.goal_index  # whose goal is the whole path
+        states = episode.states[times_left(index, shown.steps, length=len(episode.actions))]
+        return {name: truth.values(name, states, shown.states).tolist() for name in self._measures}
+
     def _trial(
-        self, shown: Demonstration, episode: Episode, at: Mapping[str, Flags], outcome: Mapping[str, bool]
+        self, shown: Demonstration, episode: Episode, at: Mapping[str, Flags], outcome: Mapping[str, Any]
     ) -> Trial:
         """Returns the measurements of an episode, in which the robot was at landmarks, bool (N, T + 1), by judge."""
         times = {judge: times_in_order(each) for judge, each in at.items()}
@@ -177,6 +192,9 @@ class DemonstrationsEvaluation:
         """Returns the figures of all trials, and what each path came to."""
         values, config = [trial.values for trial in trials], self._setup.config
         figures = _figures(values, self._judges, seed=config.seed)
+        for name in self._measures:
+            figures[name] = mean_figure([float(np.mean(each[name])) for each in values], seed=config.seed)
+            figures[f"{name}.last"] = mean_figure([each[name][-1] for each in values], seed=config.seed)
         counts = {"episodes": len(values), "paths": len(self._demonstrations)}
         details = {"paths": [self._path(each, values) for each in self._demonstrations]}
         film = self._setup.film(
@@ -189,13 +207,14 @@ class DemonstrationsEvaluation:
         return Result(figures, counts, details, film=film)
 
     def _path(self, shown: Demonstration, values: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Returns what a path is, and the median completion of it, JSON."""
-        own = [each["completion"] for each in values if each["path"] == shown.path]
+        """Returns what a path is, the median completion of it, and mean measures by landmark, JSON."""
+        own = [each for each in values if each["path"] == shown.path]
         return {
             "path": shown.path,
             "steps": shown.length,
             "landmarks": len(shown.steps),
-            "completion": float(np.median(own)) if own else None,
+            "completion": float(np.median([each["completion"] for each in own])) if own else None,
+            **{name: np.mean([each[name] for each in own], axis=0).tolist() for name in self._measures if own},
         }
 
     def _shown(self, trial: int) -> Demonstration:

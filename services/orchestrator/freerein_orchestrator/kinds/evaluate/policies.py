@@ -9,7 +9,13 @@ from freerein.config import parse
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.policy_files import NAMES, StoredPolicy, load_policy
 from freerein.types.common import Goal, ModelRef
-from freerein_orchestrator.envs.policies import PolicyHandle, expert_policy, served_policy, stored_policy
+from freerein_orchestrator.envs.policies import (
+    PolicyHandle,
+    expert_policy,
+    explorer_policy,
+    served_policy,
+    stored_policy,
+)
 from freerein_orchestrator.envs.random_policies import uniform_policy
 from freerein_orchestrator.kinds.evaluate.form import FormConfig, Setup
 from freerein_orchestrator.kinds.policy_store import PolicyStore, no_policy
@@ -79,7 +85,8 @@ class PolicyConfig(FormConfig):
     """The configuration that all forms that evaluate a policy share.
 
     Attributes:
-        policy: `random`, the scripted `expert`, or an object with `run`, `model` or `stored`.
+        policy: `random`, which is the task's explorer where it has one; the scripted `expert`; or an object with `run`,
+            `model` or `stored`.
     """
 
     policy: Literal["random", "expert"] | dict[str, Any]
@@ -179,7 +186,7 @@ def find_policy(setup: Setup[Any], choice: PolicyChoice | None = None, *, max_st
         case "expert":
             return expert_policy(setup.sim, task)
         case _:
-            return uniform_policy(task.action)
+            return explorer_policy(setup.sim) if task.has_explorer else uniform_policy(task.action)
     return served_policy(
         context.client("imitation"),
         ModelRef(**pinned) if pinned else made,

@@ -12,7 +12,7 @@ import numpy as np
 from freerein_sim.worlds.conditions import CAMERA_CONDITIONS, LIGHT_CONDITIONS
 from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.recipes import RandomOrder
-from freerein_sim.worlds.rope.predicates import PREDICATES
+from freerein_sim.worlds.rope.predicates import MEASURES, PREDICATES
 from freerein_sim.worlds.rope.spec import SPEC
 from freerein_sim.worlds.world import ScriptedPolicy, TaskDefinition, UnsavedWorld, World
 
@@ -45,5 +45,6 @@ TASKS = (
         RandomOrder(most=1),
         version=VERSION,
         explorer=_explore,
+        measures=MEASURES,
     ),
 )

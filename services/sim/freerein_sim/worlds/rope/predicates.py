@@ -1,4 +1,4 @@
-"""Predicates of the rope world, on true states: the points of the rope in metres."""
+"""Predicates and measures of the rope world, on true states: the points of the rope in metres."""
 
 from collections.abc import Callable
 from functools import partial
@@ -6,10 +6,14 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from freerein.errors import must_be
+from freerein_sim.worlds.measures import StateMeasure, Values
 from freerein_sim.worlds.predicates import AT_LANDMARK, Flags, StatePredicate, States
 from freerein_sim.worlds.rope.knots import Points, crossings, is_knotted
 from freerein_sim.worlds.rope.spec import KNOT, LINKS, POINTS, S_SHAPE
+from freerein_sim.worlds.rope.tps_rpm import register
 
+_FARTHEST_M = 10.0
 LANDMARK_M = 0.03
 """Mean distance of the rope's points from those of a landmark within which it is there."""
 
@@ -49,9 +53,26 @@ def _is_at(states: States, references: States) -> Flags:
     return np.asarray(np.linalg.norm(apart, axis=-1).mean(axis=-1) <= LANDMARK_M)
 
 
+def _registration_costs(states: States, references: States) -> Values:
+    """Returns what it costs to warp the rope, seen from above, onto the references.
+
+    Raises:
+        InvalidInput: A point is nowhere near the table.
+    """
+    for name, each in (("states", states), ("references", references)):
+        if np.abs(each).max() > _FARTHEST_M:
+            raise must_be(name, f"within {_FARTHEST_M:g} m of the table's middle", f"{np.abs(each).max():g} m")
+    pairs = zip(*(each.reshape(-1, POINTS, 3)[..., :2] for each in (states, references)), strict=True)
+    return np.array([register(*pair).cost_m for pair in pairs]).reshape(states.shape[:2])
+
+
 PREDICATES = (
     StatePredicate(AT_LANDMARK, _is_at, needs_reference=True),
     *(StatePredicate(skill, partial(_has_shape, shape)) for skill, shape in SHAPES.items()),
     *(StatePredicate(f"completed/{skill}", partial(_has_become, shape)) for skill, shape in SHAPES.items()),
 )
 """The predicates of the task."""
+
+TPS_RPM = "tps-rpm"
+MEASURES = (StateMeasure(TPS_RPM, _registration_costs, unit="m", needs_reference=True),)
+"""The measures of the task."""

@@ -15,6 +15,7 @@ Points = npt.NDArray[np.float64]
 
 _ANNEALING_RATE, _INNER_ITERATIONS, _SINKHORN_ITERATIONS = 0.93, 5, 10
 _LAST_TEMPERATURE = 1e-4
+_LEAST_SCALE_M = 1e-6
 _BENDING, _AFFINE = 1.0, 0.01
 """Weights of the bending energy and of the affine part's distance from the identity, for each unit of temperature and
 point (lambda 1 and lambda 2). Points are scaled to a root mean square distance of 1 from their mean."""
@@ -47,10 +48,10 @@ class Registration:
 
 def register(first: Points, second: Points) -> Registration:
     """Warps points onto others, in metres; the order of neither matters."""
-    scale = float(np.sqrt(((second - second.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    scale = max(float(np.sqrt(((second - second.mean(axis=0)) ** 2).sum(axis=1).mean())), _LEAST_SCALE_M)
     model, data = (first - first.mean(axis=0)) / scale, (second - second.mean(axis=0)) / scale
     spline, warped = _Spline(model), model
-    temperature = float(_squared_distances(model, data).max())
+    temperature, matches = float(_squared_distances(model, data).max()), _matches(model, data, _LAST_TEMPERATURE)
     while temperature > _LAST_TEMPERATURE:
         for _ in range(_INNER_ITERATIONS):
             matches = _matches(warped, data, temperature)

@@ -39,6 +39,8 @@ class Task(_message.Message):
     CONDITIONS_FIELD_NUMBER: _builtins.int
     MIN_SKILLS_FIELD_NUMBER: _builtins.int
     MAX_SKILLS_FIELD_NUMBER: _builtins.int
+    HAS_EXPLORER_FIELD_NUMBER: _builtins.int
+    MEASURES_FIELD_NUMBER: _builtins.int
     name: _builtins.str
     """Task name."""
     world: _builtins.str
@@ -55,6 +57,8 @@ class Task(_message.Message):
     """Fewest skills of a recipe."""
     max_skills: _builtins.int
     """Most skills of a recipe; conditions may allow fewer."""
+    has_explorer: _builtins.bool
+    """Whether the task's random exploration is its own. Otherwise it is smooth random actions."""
     @_builtins.property
     def cameras(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Camera]:
         """The cameras."""
@@ -75,6 +79,10 @@ class Task(_message.Message):
     def conditions(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Conditions with which a session can be created: named variations of the task, for tests of robustness."""
 
+    @_builtins.property
+    def measures(self) -> _containers.RepeatedCompositeFieldContainer[Global___Measure]:
+        """What a privileged session can measure."""
+
     def __init__(
         self,
         *,
@@ -91,10 +99,12 @@ class Task(_message.Message):
         conditions: _abc.Iterable[_builtins.str] | None = ...,
         min_skills: _builtins.int = ...,
         max_skills: _builtins.int = ...,
+        has_explorer: _builtins.bool = ...,
+        measures: _abc.Iterable[Global___Measure] | None = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["action", b"action"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "conditions", b"conditions", "control_dt_s", b"control_dt_s", "goal_text", b"goal_text", "has_expert", b"has_expert", "max_episode_steps", b"max_episode_steps", "max_skills", b"max_skills", "min_skills", b"min_skills", "name", b"name", "predicates", b"predicates", "skills", b"skills", "world", b"world"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "conditions", b"conditions", "control_dt_s", b"control_dt_s", "goal_text", b"goal_text", "has_expert", b"has_expert", "has_explorer", b"has_explorer", "max_episode_steps", b"max_episode_steps", "max_skills", b"max_skills", "measures", b"measures", "min_skills", b"min_skills", "name", b"name", "predicates", b"predicates", "skills", b"skills", "world", b"world"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -137,6 +147,36 @@ class Predicate(_message.Message):
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
 Global___Predicate: _TypeAlias = Predicate  # noqa: Y015
+
+@_typing.final
+class Measure(_message.Message):
+    """A number of true states, for evaluation."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    NAME_FIELD_NUMBER: _builtins.int
+    UNIT_FIELD_NUMBER: _builtins.int
+    NEEDS_REFERENCE_FIELD_NUMBER: _builtins.int
+    name: _builtins.str
+    """Its name within the task."""
+    unit: _builtins.str
+    """Its physical unit; empty where it has none."""
+    needs_reference: _builtins.bool
+    """Whether it compares each state with a reference, such as a landmark's state."""
+    def __init__(
+        self,
+        *,
+        name: _builtins.str = ...,
+        unit: _builtins.str = ...,
+        needs_reference: _builtins.bool = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["name", b"name", "needs_reference", b"needs_reference", "unit", b"unit"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___Measure: _TypeAlias = Measure  # noqa: Y015
 
 @_typing.final
 class ListTasksRequest(_message.Message):
@@ -850,7 +890,7 @@ class DemonstrateRequest(_message.Message):
         BEHAVIOUR_EXPERT: DemonstrateRequest._Behaviour.ValueType  # 1
         """The task's scripted expert; unimplemented in a task without one."""
         BEHAVIOUR_RANDOM: DemonstrateRequest._Behaviour.ValueType  # 2
-        """Smooth random actions."""
+        """The task's random exploration."""
 
     class Behaviour(_Behaviour, metaclass=_BehaviourEnumTypeWrapper):
         """Scripted policy."""
@@ -860,7 +900,7 @@ class DemonstrateRequest(_message.Message):
     BEHAVIOUR_EXPERT: DemonstrateRequest.Behaviour.ValueType  # 1
     """The task's scripted expert; unimplemented in a task without one."""
     BEHAVIOUR_RANDOM: DemonstrateRequest.Behaviour.ValueType  # 2
-    """Smooth random actions."""
+    """The task's random exploration."""
 
     TASK_FIELD_NUMBER: _builtins.int
     BEHAVIOUR_FIELD_NUMBER: _builtins.int
@@ -1042,7 +1082,7 @@ Global___DrawRecipesResponse: _TypeAlias = DrawRecipesResponse  # noqa: Y015
 
 @_typing.final
 class CheckRequest(_message.Message):
-    """Asks where a predicate holds."""
+    """Asks where a predicate holds, or what a measure is."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -1053,14 +1093,14 @@ class CheckRequest(_message.Message):
     session: _builtins.str
     """A privileged session."""
     predicate: _builtins.str
-    """Name of a predicate of its task."""
+    """Name of a predicate or of a measure of its task."""
     @_builtins.property
     def states(self) -> _common_pb2.Tensor:
-        """FP64 (N, T, S): true states of N sequences of T timesteps, as in Truth. At most 1000000 rows."""
+        """FP64 (N, T, S): true states of N sequences of T timesteps, as in Truth. At most 1000000 rows, or 32 of a measure."""
 
     @_builtins.property
     def references(self) -> _common_pb2.Tensor:
-        """FP64 (N, T, S): what each state is compared with; only where the predicate needs a reference."""
+        """FP64 (N, T, S): what each state is compared with; only where the predicate or measure needs a reference."""
 
     def __init__(
         self,
@@ -1080,23 +1120,29 @@ Global___CheckRequest: _TypeAlias = CheckRequest  # noqa: Y015
 
 @_typing.final
 class CheckResponse(_message.Message):
-    """Where the predicate holds."""
+    """Where the predicate holds, or what the measure is."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
     HOLDS_FIELD_NUMBER: _builtins.int
+    VALUES_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def holds(self) -> _common_pb2.Tensor:
-        """BOOL (N, T): whether it holds at each timestep, given the sequence up to there."""
+        """BOOL (N, T): whether the predicate holds at each timestep, given the sequence up to there. Unset for a measure."""
+
+    @_builtins.property
+    def values(self) -> _common_pb2.Tensor:
+        """FP64 (N, T): the measure at each timestep, in its unit. Unset for a predicate."""
 
     def __init__(
         self,
         *,
         holds: _common_pb2.Tensor | None = ...,
+        values: _common_pb2.Tensor | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["holds", b"holds"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["holds", b"holds", "values", b"values"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["holds", b"holds"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["holds", b"holds", "values", b"values"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
@@ -1104,14 +1150,17 @@ Global___CheckResponse: _TypeAlias = CheckResponse  # noqa: Y015
 
 @_typing.final
 class ExpertActionsRequest(_message.Message):
-    """Asks the scripted expert."""
+    """Asks the scripted expert, or random exploration."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
     SESSION_FIELD_NUMBER: _builtins.int
     RECIPES_FIELD_NUMBER: _builtins.int
+    BEHAVIOUR_FIELD_NUMBER: _builtins.int
     session: _builtins.str
     """A privileged session."""
+    behaviour: Global___DemonstrateRequest.Behaviour.ValueType
+    """Scripted policy; unset means the expert. Random exploration ignores the recipes."""
     @_builtins.property
     def recipes(self) -> _containers.RepeatedCompositeFieldContainer[Global___Recipe]:
         """Recipe of each environment, read by the first call after its reset or restore. Empty, or an empty recipe: that of the
@@ -1123,12 +1172,15 @@ class ExpertActionsRequest(_message.Message):
         *,
         session: _builtins.str = ...,
         recipes: _abc.Iterable[Global___Recipe] | None = ...,
+        behaviour: Global___DemonstrateRequest.Behaviour.ValueType | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_behaviour", b"_behaviour", "behaviour", b"behaviour"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["recipes", b"recipes", "session", b"session"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_behaviour", b"_behaviour", "behaviour", b"behaviour", "recipes", b"recipes", "session", b"session"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
+    _WhichOneofReturnType__behaviour: _TypeAlias = _typing.Literal["behaviour"]  # noqa: Y015
+    _WhichOneofArgType__behaviour: _TypeAlias = _typing.Literal["_behaviour", b"_behaviour"]  # noqa: Y015
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__behaviour) -> _WhichOneofReturnType__behaviour | None: ...
 
 Global___ExpertActionsRequest: _TypeAlias = ExpertActionsRequest  # noqa: Y015
 
@@ -1158,7 +1210,7 @@ Global___Recipe: _TypeAlias = Recipe  # noqa: Y015
 
 @_typing.final
 class ExpertActionsResponse(_message.Message):
-    """The expert's actions in the current states."""
+    """The scripted policy's actions in the current states."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -1167,11 +1219,11 @@ class ExpertActionsResponse(_message.Message):
     SKILLS_FIELD_NUMBER: _builtins.int
     @_builtins.property
     def actions(self) -> _common_pb2.Tensor:
-        """FP32 or INT64 (num_envs, size), as the task's ActionSpec says; 0 where the expert has finished."""
+        """FP32 or INT64 (num_envs, size), as the task's ActionSpec says; 0 where the policy has finished."""
 
     @_builtins.property
     def finished(self) -> _common_pb2.Tensor:
-        """BOOL (num_envs): whether the expert has finished."""
+        """BOOL (num_envs): whether the policy has finished; exploration does before a manoeuvre that is no action."""
 
     @_builtins.property
     def skills(self) -> _common_pb2.Tensor:

@@ -178,14 +178,15 @@ class SimServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Check(self, request, context):
-        """Judges true states by a predicate of the task. Privileged sessions only.
+        """Judges true states by a predicate of the task, or measures them. Privileged sessions only.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ExpertActions(self, request, context):
-        """Returns the scripted expert's next actions; call it once before each step. Privileged sessions only.
+        """Returns a scripted policy's next actions, by default the expert's; call it once before each step. Privileged sessions
+        only.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

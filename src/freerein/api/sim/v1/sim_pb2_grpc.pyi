@@ -56,9 +56,11 @@ class SimServiceStub:
     DrawRecipes: _grpc.UnaryUnaryMultiCallable[_sim_pb2.DrawRecipesRequest, _sim_pb2.DrawRecipesResponse]
     """Draws recipes of a task, such as an evaluation asks of policies."""
     Check: _grpc.UnaryUnaryMultiCallable[_sim_pb2.CheckRequest, _sim_pb2.CheckResponse]
-    """Judges true states by a predicate of the task. Privileged sessions only."""
+    """Judges true states by a predicate of the task, or measures them. Privileged sessions only."""
     ExpertActions: _grpc.UnaryUnaryMultiCallable[_sim_pb2.ExpertActionsRequest, _sim_pb2.ExpertActionsResponse]
-    """Returns the scripted expert's next actions; call it once before each step. Privileged sessions only."""
+    """Returns a scripted policy's next actions, by default the expert's; call it once before each step. Privileged sessions
+    only.
+    """
     CloseSession: _grpc.UnaryUnaryMultiCallable[_sim_pb2.CloseSessionRequest, _sim_pb2.CloseSessionResponse]
     """Closes a session."""
 
@@ -90,9 +92,11 @@ class SimServiceAsyncStub(SimServiceStub):
     DrawRecipes: _aio.UnaryUnaryMultiCallable[_sim_pb2.DrawRecipesRequest, _sim_pb2.DrawRecipesResponse]  # type: ignore[assignment]
     """Draws recipes of a task, such as an evaluation asks of policies."""
     Check: _aio.UnaryUnaryMultiCallable[_sim_pb2.CheckRequest, _sim_pb2.CheckResponse]  # type: ignore[assignment]
-    """Judges true states by a predicate of the task. Privileged sessions only."""
+    """Judges true states by a predicate of the task, or measures them. Privileged sessions only."""
     ExpertActions: _aio.UnaryUnaryMultiCallable[_sim_pb2.ExpertActionsRequest, _sim_pb2.ExpertActionsResponse]  # type: ignore[assignment]
-    """Returns the scripted expert's next actions; call it once before each step. Privileged sessions only."""
+    """Returns a scripted policy's next actions, by default the expert's; call it once before each step. Privileged sessions
+    only.
+    """
     CloseSession: _aio.UnaryUnaryMultiCallable[_sim_pb2.CloseSessionRequest, _sim_pb2.CloseSessionResponse]  # type: ignore[assignment]
     """Closes a session."""
 
@@ -187,7 +191,7 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _sim_pb2.CheckRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_sim_pb2.CheckResponse, _abc.Awaitable[_sim_pb2.CheckResponse]]:
-        """Judges true states by a predicate of the task. Privileged sessions only."""
+        """Judges true states by a predicate of the task, or measures them. Privileged sessions only."""
 
     @_abc_1.abstractmethod
     def ExpertActions(
@@ -195,7 +199,9 @@ class SimServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _sim_pb2.ExpertActionsRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_sim_pb2.ExpertActionsResponse, _abc.Awaitable[_sim_pb2.ExpertActionsResponse]]:
-        """Returns the scripted expert's next actions; call it once before each step. Privileged sessions only."""
+        """Returns a scripted policy's next actions, by default the expert's; call it once before each step. Privileged sessions
+        only.
+        """
 
     @_abc_1.abstractmethod
     def CloseSession(

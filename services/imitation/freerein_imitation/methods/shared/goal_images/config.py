@@ -6,6 +6,7 @@ from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
+from freerein_imitation.methods.shared.action_heads import AUTO, HEADS
 
 
 @dataclass(frozen=True)
@@ -13,7 +14,7 @@ class GoalImagesConfig(DatasetFitConfig):
     """Base configuration of a fit to goal images; validation trajectories choose the reached threshold, too.
 
     Attributes:
-        encoder: Image encoder of the policy and of the goal recognizer.
+        encoder: Image encoder of the policy, and of a goal recognizer that is trained with it.
         min_goal_steps: Fewest actions from a slice's first frame to its goal.
         max_goal_steps: Most actions from a slice's first frame to its goal.
         close_steps: Frames at most so many actions apart are positive pairs of the goal recognizer.
@@ -22,6 +23,11 @@ class GoalImagesConfig(DatasetFitConfig):
         features: Image features per camera of the policy.
         hidden_size: Units of the policy's hidden layers.
         embedding_size: Size of the recognizer's embeddings, and its image features per camera.
+        head: Action head: `categorical` for choices; `bins` for numbers; for pick and place `autoregressive` or `map`,
+            too; `auto` for the first of these that fits.
+        temperature: What logits are divided by before actions are drawn; 0 for the likeliest actions.
+        recognizer: Model of the method `goal_recognizer` whose goal recognizer is copied; empty to train one, too.
+        recognizer_version: Its version; empty for the active one.
 
     Raises:
         InvalidInput: A minimum is above its maximum.
@@ -39,6 +45,10 @@ class GoalImagesConfig(DatasetFitConfig):
     hidden_size: int = bounded(128, least=8, most=1024)
     embedding_size: int = bounded(64, least=2, most=1024)
     evaluate_every: int = bounded(50, least=1, most=1_000_000)
+    head: str = one_of((AUTO, *HEADS), AUTO)
+    temperature: float = bounded(0.0, least=0.0, most=100.0)
+    recognizer: str = ""
+    recognizer_version: str = ""
 
     def __post_init__(self) -> None:
         for less, more in (("min_goal_steps", "max_goal_steps"), ("close_steps", "far_steps")):

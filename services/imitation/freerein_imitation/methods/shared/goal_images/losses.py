@@ -5,42 +5,55 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from freerein.learning import weights
 from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
-from freerein_imitation.methods.shared.frame_features import encode_trajectory, fit_in_distribution
+from freerein_imitation.methods.shared.frame_features import fit_in_distribution
 from freerein_imitation.methods.shared.goal_images.config import GoalImagesConfig
-from freerein_imitation.methods.shared.goal_images.network import (
-    GoalImagesNetwork,
-    GoalImagesSpec,
-    GoalRecognizer,
-    proximity_logit,
+from freerein_imitation.methods.shared.goal_images.network import GoalImagesNetwork, GoalImagesSpec
+from freerein_imitation.methods.shared.goal_images.recognizer_losses import (
+    reached_threshold,
+    recognized_ahead,
+    sampled_recognizer_loss,
 )
-from freerein_imitation.methods.shared.goal_images.relabelling import (
-    RelabelledSlices,
-    sample_recognizer_batch,
-    sample_slices,
-)
-from freerein_imitation.methods.shared.losses import masked_mean
+from freerein_imitation.methods.shared.goal_images.relabelling import RelabelledSlices, sample_slices
+from freerein_imitation.methods.shared.goal_images.stored_recognizer import StoredRecognizer
 
 N = TypeVar("N", bound=GoalImagesNetwork)
 
 _NORMALISATION_FRAMES = 2000
 _EVALUATION_WINDOWS = 192
-_THRESHOLD_FRAMES = 256
+_REACHED = {"stop_loss", "recognizer_loss"}
+
+
+class PolicyLosses(NamedTuple):
+    """Losses of a policy on slices, float () each.
+
+    Attributes:
+        action: Action loss, eq. 3.2.
+        auxiliary: Other terms that are trained with it, 0 for none.
+        stop: Loss of the policy's own `stop`; None where a recognizer tells that a goal is reached.
+    """
+
+    action: Tensor
+    auxiliary: Tensor
+    stop: Tensor | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class GoalImagesLearner(Learner[N]):
-    """Base of the learners of networks for goal images; an item is a window of a trajectory."""
+    """Base of the learners of networks for goal images; an item is a window of a trajectory.
+
+    Attributes:
+        stored: The recognizer that is copied; None for one that is trained with the policy, or for none.
+    """
 
     config: GoalImagesConfig
     spec: GoalImagesSpec
@@ -48,14 +61,15 @@ class GoalImagesLearner(Learner[N]):
     validation: Trajectories
     fingerprint: str
     device: torch.device
+    stored: StoredRecognizer | None = None
 
     @abstractmethod
     def network(self) -> N:
         """Returns an untrained network."""
 
     @abstractmethod
-    def policy_losses(self, network: N, slices: RelabelledSlices) -> tuple[Tensor, Tensor]:
-        """Returns the action loss of a network on slices, eq. 3.2, and its auxiliary losses, float () each."""
+    def policy_losses(self, network: N, slices: RelabelledSlices) -> PolicyLosses:
+        """Returns the losses of a network's policy on slices."""
 
     @property
     def max_steps_per_goal(self) -> int:
@@ -77,6 +91,9 @@ class GoalImagesLearner(Learner[N]):
         weights.initialise(network, generator=generator)
         frames = self.training.sample_frames(_NORMALISATION_FRAMES)
         network.fit_normalisation(frames, generator=generator)
+        if self.stored is not None and network.recognizer is not None:
+            network.recognizer.load_state_dict(self.stored.weights)
+            network.recognizer.requires_grad_(False)
         return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
 
     def loss(self, state: TrainState[N], items: Items) -> Losses:
@@ -84,9 +101,8 @@ class GoalImagesLearner(Learner[N]):
         return self._losses(state.network, self.training, self._windows[items].tolist(), state.rng())
 
     def evaluate(self, state: TrainState[N]) -> float:
-        """Returns the action loss (eq. 3.2) plus the recognizer's on validation trajectories."""
-        losses = self.validation_losses(state.network)
-        return (losses["action_loss"] + losses["recognizer_loss"]).item()
+        """Returns the action loss (eq. 3.2) plus the recognizer's, if one is trained, on validation trajectories."""
+        return without_auxiliary(self.validation_losses(state.network)).item()
 
     @torch.no_grad()
     def validation_losses(self, network: N) -> Losses:
@@ -97,16 +113,24 @@ class GoalImagesLearner(Learner[N]):
         parts = [self._losses(network, self.validation, batch.tolist(), rng) for batch in batches]
         return {name: torch.stack([part[name] for part in parts]).mean() for name in parts[0]}
 
-    @torch.no_grad()
     def calibrate(self, network: N) -> None:
         """Fits the network's in-distribution score, to training frames and to held-out ones with goals ahead."""
-        rng, reached = np.random.default_rng(self.config.seed), []
-        for item, length in enumerate(self.validation.lengths().tolist()):
-            embeddings = encode_trajectory(network.recognizer, self.validation, item)  # (T, embedding_size)
-            ahead = np.arange(length) + rng.integers(1, self.config.far_steps, length, endpoint=True)
-            goals = embeddings[np.minimum(ahead, length - 1)]
-            reached.append(proximity_logit(embeddings, goals).sigmoid())  # (T,)
-        fit_in_distribution(network, self.training, self.validation, torch.cat(reached), self.device)
+        reached = self.reached_ahead(network, np.random.default_rng(self.config.seed))
+        fit_in_distribution(network, self.training, self.validation, reached, self.device)
+
+    def reached_ahead(self, network: N, rng: np.random.Generator) -> Tensor:
+        """Returns the probability that each held-out frame is at a goal ahead of it, float32 (N,)."""
+        if network.recognizer is None:
+            raise TypeError("A network without a recognizer needs a method of its own.")
+        return recognized_ahead(network.recognizer, self.validation, rng, far_steps=self.config.far_steps)
+
+    def reached_threshold(self, network: N) -> float:
+        """Returns the probability from which a goal counts as reached."""
+        if self.stored is not None:
+            return self.stored.threshold
+        if network.recognizer is None:
+            raise TypeError("A network without a recognizer needs a method of its own.")
+        return reached_threshold(network.recognizer, self.validation)
 
     def _slices(self, trajectories: Trajectories, items: Sequence[int], rng: np.random.Generator) -> RelabelledSlices:
         """Returns slices of random windows of some trajectories."""
@@ -115,43 +139,21 @@ class GoalImagesLearner(Learner[N]):
 
     def _losses(self, network: N, trajectories: Trajectories, items: Sequence[int], rng: np.random.Generator) -> Losses:
         """Returns the losses on slices and frames sampled from some trajectories."""
-        config = self.config
         slices = self._slices(trajectories, items, rng)
-        batch = sample_recognizer_batch(trajectories, items, rng, close_steps=config.close_steps, device=self.device)
-        action, auxiliary = self.policy_losses(network, slices)
-        embeddings = network.recognizer(batch.frames)  # (N, embedding_size)
-        logits = proximity_logit(embeddings[:, None], embeddings)  # (N, N)
-        pairs = batch.pairs(close_steps=config.close_steps, far_steps=config.far_steps)
-        recognizer = recognizer_loss(logits, *pairs)
-        return {"train_loss": action + auxiliary + recognizer, "action_loss": action, "recognizer_loss": recognizer}
+        action, auxiliary, stop = self.policy_losses(network, slices)
+        losses = {"train_loss": action + auxiliary, "action_loss": action}
+        if stop is not None:
+            losses["stop_loss"] = stop
+        elif network.recognizer is not None and self.stored is None:
+            close, far = self.config.close_steps, self.config.far_steps
+            losses["recognizer_loss"] = sampled_recognizer_loss(
+                network.recognizer, trajectories, items, rng, close_steps=close, far_steps=far, device=self.device
+            )
+        for name in losses.keys() & _REACHED:
+            losses["train_loss"] = losses["train_loss"] + losses[name]
+        return losses
 
 
-@torch.no_grad()
-def reached_threshold(recognizer: GoalRecognizer, trajectories: Trajectories) -> float:
-    """Returns the recognizer's median probability that frames one action apart are close.
-
-    The threshold that best separates training's pairs is far lower, and would call a goal reached too early.
-    At least one of the validation trajectories has 2 timesteps.
-    """
-    logits = []
-    for item in range(len(trajectories)):
-        embeddings = encode_trajectory(recognizer, trajectories, item, most=_THRESHOLD_FRAMES)
-        logits.append(proximity_logit(embeddings[1:], embeddings[:-1]).cpu().numpy())  # (T - 1,)
-    return float(np.median(1 / (1 + np.exp(-np.concatenate(logits)))))
-
-
-def recognizer_loss(logits: Tensor, close: Tensor, far: Tensor, other_trajectory: Tensor) -> Tensor:
-    """Returns the balanced logistic loss of the goal recognizer: float ().
-
-    Close pairs weigh as much as all others; of those, pairs of one trajectory weigh half, since else it would be enough
-    to tell scenes apart.
-
-    Args:
-        logits: Logits of pairs to be close, float (N, N).
-        close: Pairs a few steps apart, bool (N, N).
-        far: Pairs of one trajectory that are further apart, bool (N, N).
-        other_trajectory: Pairs of different trajectories, bool (N, N).
-    """
-    negative = functional.softplus(logits)
-    others = (masked_mean(negative, far) + masked_mean(negative, other_trajectory)) / 2
-    return (masked_mean(functional.softplus(-logits), close) + others) / 2
+def without_auxiliary(losses: Losses) -> Tensor:
+    """Returns the action loss and that of what tells that a goal is reached, float ()."""
+    return sum((losses[name] for name in losses.keys() & _REACHED), start=losses["action_loss"])

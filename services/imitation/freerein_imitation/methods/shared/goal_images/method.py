@@ -1,6 +1,7 @@
 """Methods that follow goal images: how a learner is prepared, what the card says, and loading."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import torch
@@ -9,12 +10,20 @@ from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
+from freerein.types.common import ModelRef
 from freerein_imitation.methods.shared.goal_images.config import GoalImagesConfig
-from freerein_imitation.methods.shared.goal_images.losses import GoalImagesLearner, N, reached_threshold
+from freerein_imitation.methods.shared.goal_images.losses import GoalImagesLearner, N
 from freerein_imitation.methods.shared.goal_images.network import GoalImagesSpec
 from freerein_imitation.methods.shared.goal_images.policy import GoalImagesPolicy
+from freerein_imitation.methods.shared.goal_images.stored_recognizer import (
+    StoredRecognizer,
+    active_recognizer,
+    load_recognizer,
+)
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.torch_policy import loader
+
+_SUPERVISION = "images and executed actions of exploration"
 
 C = TypeVar("C", bound=GoalImagesConfig)
 S = TypeVar("S", bound=GoalImagesSpec)
@@ -33,24 +42,39 @@ def goal_images_method(
     `spec_fields` returns fields of the spec that the configuration gives by other names.
     """
 
-    def check(source: FitDataset, config: C) -> S:
+    def complete(source: FitDataset, config: C) -> C:
+        if not config.recognizer:
+            return config
+        ref = active_recognizer(source.data_dir, ModelRef(config.recognizer, config.recognizer_version))
+        return replace(config, recognizer_version=ref.version)
+
+    def spec_and_recognizer(source: FitDataset, config: C) -> tuple[S, StoredRecognizer | None]:
         cameras, action = source.cameras(config.cameras), source.dataset.spec.action
-        return spec_of(config, spec_class, cameras=cameras, action=action, **spec_fields(config))
+        fields, stored = spec_fields(config), None
+        if config.recognizer:
+            ref = ModelRef(config.recognizer, config.recognizer_version)
+            stored = load_recognizer(source.data_dir, ref, cameras=cameras)
+            fields |= stored.spec_fields
+        return spec_of(config, spec_class, cameras=cameras, action=action, **fields), stored
 
     def prepare(source: FitDataset, config: C, device: torch.device) -> GoalImagesLearner[N]:
         training, validation = source.trajectories(config.cameras).split(
             fraction=config.validation_fraction, seed=config.seed, min_length=config.min_goal_steps + 1
         )
-        return learner_class(config, check(source, config), training, validation, source.dataset.fingerprint, device)
+        spec, stored = spec_and_recognizer(source, config)
+        return learner_class(config, spec, training, validation, source.dataset.fingerprint, device, stored)
 
     def card(source: FitDataset, learner: GoalImagesLearner[N], fitted: FitResult[N]) -> dict[str, Any]:
         losses = learner.validation_losses(fitted.network)
-        threshold = reached_threshold(fitted.network.recognizer, learner.validation)
-        figures = {name: losses[name].item() for name in ("action_loss", "recognizer_loss")}
+        threshold, stored = learner.reached_threshold(fitted.network), learner.stored
+        figures = {name: loss.item() for name, loss in losses.items() if name != "train_loss"}
+        copied = "" if stored is None else f"; those of its goal recognizer: {stored.card.get('supervision')}"
         return {
             **ControlSpec(source.dataset.spec.control_dt_s, threshold, learner.max_steps_per_goal).to_card(),
             "figures": fitted.figures | figures,
-            "supervision": "images and executed actions of exploration",
+            "supervision": f"{_SUPERVISION}{copied}",
+            **({} if stored is None else {"recognizer": stored.describe()}),
         }
 
-    return Method(config_class, check, prepare, card, loader(GoalImagesPolicy, spec_class, network_class))
+    load = loader(GoalImagesPolicy, spec_class, network_class)
+    return Method(config_class, spec_and_recognizer, prepare, card, load, complete=complete)

@@ -1,21 +1,23 @@
-"""Networks that follow goal images: what they share, and the goal recognizer."""
+"""Networks that follow goal images: what they share."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
 from freerein.config import bounded, one_of
-from freerein.errors import InvalidInput
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
-from freerein_imitation.methods.shared import action_bins
+from freerein_imitation.methods.shared.action_heads import AUTO, HEADS, ActionHead, head_of
+from freerein_imitation.methods.shared.goal_images.recognizer import (
+    GoalRecognizer,
+    check_embedding_size,
+    proximity_logit,
+)
 from freerein_imitation.model.torch_policy import PolicyNetwork
-
-_MAX_LOGIT = 5.0  # the recognizer's, of two equal images
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,56 +29,84 @@ class GoalImagesSpec(InputSpec):
         features: Image features per camera of the policy.
         hidden_size: Units of the policy's hidden layers.
         embedding_size: Size of the recognizer's embeddings, and its image features per camera.
+        recognizer_encoder: Image encoder of the recognizer; empty for `encoder`.
+        head: Action head; `auto` for `categorical` where actions are choices, else `bins`.
+        temperature: What logits are divided by before actions are drawn; 0 for the likeliest actions.
 
     Raises:
-        InvalidInput: Cameras, actions or `embedding_size` are out of bounds; an encoder may need more features.
+        InvalidInput: Cameras, actions or `embedding_size` are out of bounds; an encoder may need more features. Or the
+            head is of other actions.
     """
 
     encoder: str = one_of(ENCODERS, "spatial")
     features: int = bounded(128, least=8, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
     embedding_size: int = bounded(64, least=2, most=1024)
+    recognizer_encoder: str = one_of(("", *ENCODERS), "")
+    head: str = one_of((AUTO, *HEADS), AUTO)
+    temperature: float = bounded(0.0, least=0.0, most=100.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        least = ENCODERS[self.encoder].min_features
-        if self.embedding_size < least:
-            raise InvalidInput(
-                f"`embedding_size` must be at least {least} with the encoder {self.encoder}; "
-                f"got {self.embedding_size}.",
-                field="config.embedding_size",
-            )
+        head_of(self.head, self.action)
+        check_embedding_size(self.recognizer_encoder or self.encoder, self.embedding_size)
 
-    @property
-    def categories(self) -> int:
-        """Categories of each number of an action."""
-        return self.action.choices or action_bins.BINS
+    def make_head(self, hidden: int) -> ActionHead:
+        """Returns an untrained action head for H hidden features."""
+        return head_of(self.head, self.action)(hidden, self.action, self.cameras)
 
 
-class ActionNetwork(Protocol):
-    """The part of a network that chooses actions: a torch module.
+class ActionNetwork(nn.Module, ABC):
+    """Base of the networks that choose actions.
 
     Attributes:
         encoder: Encodes observations and goals.
+        action_head: Turns contexts into actions.
+        stop_head: Turns contexts into the logit that the goal is reached; None where a recognizer tells.
         recurrent_size: R, numbers of recurrent state.
     """
 
-    encoder: CameraEncoders
-    recurrent_size: int
+    action_head: ActionHead
+    recurrent_size = 0
 
-    def step(self, features: Tensor, goal: Tensor, previous: Tensor, recurrent: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns action logits, float32 (B, K, A, categories), and the next recurrent states.
+    def __init__(self, spec: GoalImagesSpec) -> None:
+        super().__init__()
+        self.stop_head: nn.Linear | None = None
+        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
+
+    @property
+    def code_size(self) -> int:
+        """Numbers of the code of a frame: D of its features, and what the head adds."""
+        return self.encoder.size + self.action_head.code_size
+
+    def encode(self, frames: FrameTensors) -> Tensor:
+        """Returns codes, float32 (N, code size), of frames uint8 (N, H, W, C) by camera."""
+        features: Tensor = self.encoder(frames)
+        return torch.cat([features, self.action_head.encode(frames)], dim=1) if self.action_head.code_size else features
+
+    def context(self, hidden: Tensor, codes: Tensor, goals: Tensor) -> Tensor:
+        """Returns what the heads see: hidden features (..., H), and what the head added to codes (..., code size)."""
+        added = [each[..., self.encoder.size :] for each in (codes, goals)]
+        return torch.cat([hidden, *added], dim=-1) if self.action_head.code_size else hidden
+
+    @abstractmethod
+    def step(self, codes: Tensor, goals: Tensor, previous: Tensor, recurrent: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns contexts, float32 (B, C), and the next recurrent states.
 
         Args:
-            features: phi(x_t), float32 (B, D).
-            goal: phi(x_g), float32 (B, D).
+            codes: Of observations, float32 (B, code size).
+            goals: Of goals, float32 (B, code size).
             previous: a_{t-1}, float32 (B, A), zeros for no action, or int64 (B, 1), -1 for no action.
             recurrent: Recurrent states, float32 (B, R).
         """
 
 
 class GoalImagesNetwork(PolicyNetwork):
-    """Base of the networks: an action network and a goal recognizer, which share no weights."""
+    """Base of the networks: an action network and a goal recognizer, which share no weights.
+
+    Attributes:
+        recognizer: None where the action network's `stop_head` tells that a goal is reached.
+    """
 
     spec: GoalImagesSpec
 
@@ -84,33 +114,36 @@ class GoalImagesNetwork(PolicyNetwork):
         super().__init__()
         self.spec = spec
         self.policy = policy
-        self.recognizer = GoalRecognizer(spec)
+        encoder = spec.recognizer_encoder or spec.encoder
+        self.recognizer = (
+            GoalRecognizer(encoder, spec.cameras, embedding_size=spec.embedding_size)
+            if policy.stop_head is None
+            else None
+        )
         self.in_distribution = InDistribution(*statistics_sizes(spec.cameras))
 
     def fit_normalisation(self, frames: FrameTensors, *, generator: torch.Generator) -> None:
         """Sets what is not trained of the encoders from training frames, uint8 (N, H, W, C) by camera."""
         self.policy.encoder.fit_normalisation(frames, generator=generator)
-        self.recognizer.encoder.fit_normalisation(frames, generator=generator)
-
-
-class GoalRecognizer(nn.Module):
-    """The goal recognizer of section 3.2 as a metric embedding: images a few actions apart are less than 1 apart.
-
-    The dissertation leaves the network open. In a metric nothing is closer to a goal than the goal's own images.
-    """
-
-    def __init__(self, spec: GoalImagesSpec) -> None:
-        super().__init__()
-        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.embedding_size)
-        self.projection = nn.Linear(self.encoder.size, spec.embedding_size, bias=False)
+        if self.recognizer is not None:
+            self.recognizer.encoder.fit_normalisation(frames, generator=generator)
 
     def forward(self, frames: FrameTensors) -> Tensor:
-        """Returns embeddings, float32 (N, embedding_size), of frames uint8 (N, H, W, C) by camera."""
-        embedding: Tensor = self.projection(self.encoder(frames))
-        return embedding
+        """Returns the policy's codes of frames beside the recognizer's embeddings, if any: float32 (N, G)."""
+        codes = self.policy.encode(frames)
+        return codes if self.recognizer is None else torch.cat([codes, self.recognizer(frames)], dim=1)
 
+    def reached(self, context: Tensor, codes: Tensor, goals: Tensor) -> Tensor:
+        """Returns probabilities that goals are reached, float32 (B,).
 
-def proximity_logit(observation: Tensor, goal: Tensor) -> Tensor:
-    """Returns the logit that two embeddings (..., embedding_size) are close, float32 (...)."""
-    distance: Tensor = torch.linalg.vector_norm(observation - goal, dim=-1)
-    return _MAX_LOGIT * (1 - distance)
+        Args:
+            context: Of the action network, float32 (B, C).
+            codes: Of observations, from `forward`, float32 (B, G).
+            goals: Of goals, likewise.
+        """
+        if self.policy.stop_head is not None:
+            logits: Tensor = self.policy.stop_head(context)[:, 0]
+        else:
+            size = self.policy.code_size
+            logits = proximity_logit(codes[:, size:], goals[:, size:])
+        return logits.sigmoid()

@@ -48,6 +48,12 @@ class RelabelledSlices:
         return self.starts[:, None] + torch.minimum(self._time, self.lengths[:, None] - 1)
 
     @property
+    def timesteps_to_goals(self) -> Tensor:
+        """Frames of each slice up to its goal, int64 (S, L + 1); padded with the goal."""
+        time = torch.arange(int(self.lengths.max()) + 1, device=self.lengths.device)
+        return self.starts[:, None] + torch.minimum(time[None], self.lengths[:, None])
+
+    @property
     def mask(self) -> Tensor:
         """Which of `timesteps` are not padding, bool (S, L)."""
         return self._time < self.lengths[:, None]
