@@ -15,6 +15,7 @@ EXPERIMENTS = (
     "fig_2_3",
     "robustness",
     "teachers",
+    "table_4_2",
     "first_session",
     "demo",
     "smoke",

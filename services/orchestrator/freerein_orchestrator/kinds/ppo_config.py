@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput, must_be
+from freerein.learning.actor_critic.eye import EYE
 from freerein.learning.encoders import ENCODERS
 from freerein.types.common import check_name
 from freerein_orchestrator.rewards import REWARDS
 from freerein_orchestrator.rewards.entry import RewardEntry
 from freerein_orchestrator.rl.config import PPOConfig
 
-EYE = "goal_eye"
 RESUME_FIELD = "config.resume_from"
 
 
