@@ -16,6 +16,8 @@ EXPERIMENTS = (
     "robustness",
     "teachers",
     "table_4_2",
+    "fig_4_4",
+    "fig_4_6",
     "first_session",
     "demo",
     "smoke",

@@ -1,0 +1,48 @@
+"""Figure 4.6: policies trained on the learned reward, on the oracle's, and on those that stand beside them.
+
+Pushing, stacking and placing. The dissertation's row has its configuration of PPO.
+"""
+
+from experiments.chapter4 import rewards_report
+from experiments.chapter4.trained_on import (
+    BASE,
+    CURIOSITY,
+    DISSERTATION,
+    LEARNED,
+    ORACLE,
+    OURS,
+    PLACE,
+    PUSH,
+    RULE,
+    STACK,
+    TUNING,
+    VICE,
+)
+from experiments.chapter4.trainings import Trainings
+from experiments.workbench.arms import Arm
+
+_TASKS = (PUSH, STACK, PLACE)
+_SEEDS = {LEARNED: 5, ORACLE: 5, RULE: 3, VICE: 3, BASE: 1, CURIOSITY: 1}
+"""One where the dissertation has nothing earned."""
+
+_CURIOUS_PUSHES = 3
+"""Seeds of curiosity where pucks may meet by chance."""
+
+
+def _seeds(task: str, reward: str) -> int:
+    return _CURIOUS_PUSHES if (task, reward) == (PUSH, CURIOSITY) else _SEEDS[reward]
+
+
+EXPERIMENT = Trainings(
+    (
+        *(
+            Arm(task, reward, {TUNING: OURS}, seed)
+            for seed in range(max(_SEEDS.values()))
+            for reward in _SEEDS
+            for task in _TASKS
+            if seed < _seeds(task, reward)
+        ),
+        *(Arm(task, reward, {TUNING: DISSERTATION}) for reward in (LEARNED, ORACLE) for task in _TASKS),
+    ),
+    rewards_report.manipulation,
+)
