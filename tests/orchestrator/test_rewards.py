@@ -70,7 +70,7 @@ def test_a_rule_rewards_frames_in_which_the_grounding_model_finds_things_as_the_
     start_service: Callable[..., Any],
 ) -> None:
     frames = np.full((3, 64, 64, 3), (120, 135, 147), np.uint8)
-    for frame, (red, green) in zip(frames, ((23, 33), (33, 23), (10, 50)), strict=True):
+    for frame, (red, green) in zip(frames, ((22, 34), (32, 24), (10, 50)), strict=True):
         frame[40:47, red - 3 : red + 4] = (219, 23, 18)
         frame[40:47, green - 3 : green + 4] = (31, 168, 41)
     network: Any = None  # no reward of these is of the policy
