@@ -26,7 +26,7 @@ _TICKS = 200_000
 _PUCK_WIDTH = 0.095
 """Of a frame of the front camera, which looks down at the table: it is the front view, and the tilted one."""
 
-_PUSH_TEXT = "a blue object close to a yellow object"
+PUSH_TEXT = "a blue object close to a yellow object"
 """The grounding model has no word for pucks; the dissertation's text of figure 4.5 has none either."""
 
 _PUSH_PHRASES = tuple(f"a {colour} object" for colour in ("red", "green", "yellow", "blue"))
@@ -97,7 +97,7 @@ def _training(arm: Arm) -> dict[str, Any]:
     if arm.method == VICE:
         config["dataset"] = "won"
     if arm.world == PUSH:
-        config["goal_text"] = _PUSH_TEXT
+        config["goal_text"] = PUSH_TEXT
     return config | dict(_tuning(arm))
 
 
