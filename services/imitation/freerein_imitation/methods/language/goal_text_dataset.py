@@ -100,13 +100,30 @@ class GoalTextDataset:
         """Returns a batch of timesteps, int64 (B,), which count over all trajectories."""
         items = np.searchsorted(self._ends, timesteps, side="right")
         places = list(zip(items.tolist(), (timesteps - self._ends[items]).tolist(), strict=True))  # from each end
-        goal_texts = self.trajectories.goal_texts
-        seen = _stack([self.seen[item][t] for item, t in places], device) if self.seen else None
-        shown = [] if self.seen else [(item, np.array([t])) for item, t in places]
-        frames = self.trajectories.frames_at(shown, device) if shown else {}
-        texts = _stack([self.codes[goal_texts[item]] for item, _ in places], device)
-        actions = _stack([self.trajectories.actions[item][t] for item, t in places], device)
-        return TimestepBatch(frames, seen, texts, actions, self._judged(places, device))
+        frames = {} if self.seen else self.trajectories.frames_at([(i, np.array([t])) for i, t in places], device)
+        texts, seen, actions = (
+            torch.from_numpy(each).to(device)
+            for each in (self._codes[self._texts[items]], self._seen[timesteps], self._actions[timesteps])
+        )
+        return TimestepBatch(frames, seen if self.seen else None, texts, actions, self._judged(places, device))
+
+    @cached_property
+    def _texts(self) -> npt.NDArray[np.int64]:
+        """Number of each trajectory's text among the codes, int64 (n,)."""
+        numbers = {text: number for number, text in enumerate(self.codes)}
+        return np.array([numbers[text] for text in self.trajectories.goal_texts], np.int64)
+
+    @cached_property
+    def _codes(self) -> npt.NDArray[np.float32]:
+        return np.stack(list(self.codes.values()))
+
+    @cached_property
+    def _seen(self) -> npt.NDArray[np.float32]:
+        return np.concatenate(self.seen) if self.seen else np.zeros((len(self), 0), np.float32)
+
+    @cached_property
+    def _actions(self) -> npt.NDArray[Any]:
+        return np.concatenate([self.trajectories.actions[item] for item in range(len(self.trajectories))])
 
     def _judged(self, places: Sequence[tuple[int, int]], device: torch.device) -> Judged | None:
         """Returns what is known of the frames at timesteps of trajectories; a timestep has the same rival each time."""

@@ -91,11 +91,12 @@ class LanguageLearner(Learner[LanguageNetwork]):
         phrases = eye.spec.phrases if eye else ()
         encode = partial(encode_text, reader=reader, encoder=encoder, text_code=config.text_code, phrases=phrases)
         codes = {text: encode(each).numpy() for text, each in zip(distinct, read, strict=True)}
-        dataset = GoalTextDataset.of(trajectories, codes, seen=_see(eye, cameras[0].name, trajectories) if eye else ())
+        predicts_reached = bool(trajectories.reached) and config.reached_weight > 0
+        learned = trajectories if predicts_reached else replace(trajectories, reached=())
+        dataset = GoalTextDataset.of(learned, codes, seen=_see(eye, cameras[0].name, trajectories) if eye else ())
         training, validation = split_by_text(dataset, fraction=config.validation_fraction, seed=config.seed)
         known = training.distinct_codes()
         components = principal_components(known[:, : reader.code_size]).shape[1]
-        predicts_reached = bool(trajectories.reached) and config.reached_weight > 0
         spec = spec_of(
             config,
             LanguageSpec,
