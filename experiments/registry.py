@@ -20,6 +20,7 @@ EXPERIMENTS = (
     "fig_4_4",
     "fig_4_5",
     "fig_4_6",
+    "criteria",
     "first_session",
     "demo",
     "smoke",

@@ -39,7 +39,7 @@ def check_unseen(root: Path, folder: Path) -> None:
         dataset = Dataset(root)
         pixels = sum(blue_pixels(each) for trajectory in dataset for each in trajectory.frames.values())
         texts = sum(TEST_COLOUR in text for text in dataset.goal_texts)
-        found = {"timesteps": int(dataset.lengths.sum()), "pixels": pixels, "texts": texts}
+        found: dict[str, float] = {"timesteps": int(dataset.lengths.sum()), "pixels": pixels, "texts": texts}
         write_atomic(folder / _FILE, json.dumps(found).encode())
     found = scanned(folder)
     if found["pixels"] or found["texts"]:
