@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from experiments import registry
-from experiments.chapter4 import one_policy_report, rewards_report, shipped_teachers, students, trained_on
+from experiments import criteria, registry
+from experiments.chapter4 import one_policy_report, puck_scenes, rewards_report, shipped_teachers, students, trained_on
+from experiments.chapter4.places_in_frames import project
 from experiments.chapter4.tasks import TEST_TASKS
 from experiments.chapter4.unseen_colour import blue_pixels, check_unseen, scanned
+from experiments.robustness.draw import Drawn
 from experiments.robustness.worlds import open_world
 from experiments.teachers import TASKS
 from experiments.workbench import table
@@ -189,3 +191,69 @@ def test_teachers_whose_arms_are_done_ship_by_the_names_of_their_tasks_and_once(
     (teacher,) = shipped_teachers.shipped_teachers()
     assert teacher.task == arm.world
     assert len(teacher.sha256) == 64
+
+
+def test_a_blocks_centre_is_projected_to_where_it_is_seen() -> None:
+    task = "blocks.red-left-of-green"
+    with closing(open_world(task)) as world:
+        world.reset(np.random.default_rng(0))
+        frame, state = world.render("front", height=64, width=64).astype(int), world.truth().state
+    names = tasks()[task].spec.state_names
+    is_red = (frame[..., 0] > 100) & (frame[..., 1] < 60)
+    rows, columns = np.nonzero(is_red)
+    centre = project(np.array([state[names.index(f"red.{axis}")] for axis in "xyz"]), size=64)
+    assert centre == pytest.approx([columns.mean() + 0.5, rows.mean() + 0.5], abs=1.5)
+
+
+def scene(**places: tuple[float, float, float]) -> npt.NDArray[np.float64]:
+    """Returns a true state, float64 (S,), of `push.scatter` with things at places, by names such as `red_puck`."""
+    names = tasks()["push.scatter"].spec.state_names
+    state = np.full(len(names), -3.0)
+    for thing, place in places.items():
+        for axis, value in zip("xyz", place, strict=True):
+            state[names.index(f"{thing.replace('_', '-')}.{axis}")] = value
+    return state
+
+
+def test_goals_about_pucks_are_asked_where_a_colour_names_one_thing_and_judged_by_true_places() -> None:
+    left, right, behind = (0.0, -0.1, 0.0125), (0.0, 0.1, 0.0125), (-0.2, 0.1, 0.0125)
+    states = np.stack(
+        [
+            scene(red_puck=left, green_puck=right, blue_block=behind),
+            scene(red_puck=left, red_block=right, green_puck=behind),
+            scene(red_puck=left, tray=(0.0, -0.1, 0.017)),
+        ]
+    )
+    red, green, blue, brown = (puck_scenes.NOUNS.index(each) for each in ("red", "green", "blue", "brown"))
+    found = {(each.criterion, each.nouns): each for each in puck_scenes.asked(states)}
+    assert found["left_of", (red, green)].holds.tolist() == [True, False, False]
+    assert found["left_of", (red, green)].counts.tolist() == [True, False, False]  # red names two things, then nothing
+    assert found["in_front_of", (green, blue)].holds[0]
+    assert found["close_to", (red, green)].counts[0]
+    assert not found["close_to", (red, green)].holds[0]
+    assert found["inside_of", (red, brown)].holds.tolist() == [False, False, True]
+    assert not found["inside_of", (red, green)].counts.any()  # no tray
+    assert not found["in_front_of", (red, green)].counts.any()  # neither is in front
+
+
+def test_a_criterion_that_is_always_told_right_has_1_and_one_that_is_never_rewarded_one_half() -> None:
+    rng = np.random.default_rng(0)
+    things = ("red_puck", "green_puck", "blue_block", "tray")
+    states = np.stack(
+        [
+            scene(**{each: (*rng.uniform(-0.1, 0.1, 2), rng.choice([0.0125, 0.05])) for each in things})
+            for _ in range(60)
+        ]
+    )
+    scenes = Drawn({"lengths": np.full(30, 2)}, {"states": states})
+    right = dict(criteria._samples(scenes, lambda goal: goal.holds))
+    never = dict(criteria._samples(scenes, lambda goal: np.zeros(len(goal.holds), np.bool_)))
+    assert len(right) == 9
+    assert all(each.mean == pytest.approx(1) for each in right.values())
+    assert all(each.mean == pytest.approx(0.5, abs=1e-6) for each in never.values())
+    results = [result(Arm("push.scatter", criteria.MODEL, seed=seed), right) for seed in range(3)]
+    made = criteria.EXPERIMENT.table([*results, result(Arm("push.scatter", criteria.RULE), never)])
+    claims = {claim.claim: claim for claim in made.claims}
+    assert claims["criteria"].met
+    assert claims["rule_left_of"].value == pytest.approx(50, abs=0.01)
+    table.markdown(made)
