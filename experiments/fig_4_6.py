@@ -6,6 +6,7 @@ Pushing, stacking and placing. The dissertation's row has its configuration of P
 from experiments.chapter4 import rewards_report
 from experiments.chapter4.trained_on import (
     BASE,
+    CONSTANT,
     CURIOSITY,
     DISSERTATION,
     LEARNED,
@@ -22,15 +23,15 @@ from experiments.chapter4.trainings import Trainings
 from experiments.workbench.arms import Arm
 
 _TASKS = (PUSH, STACK, PLACE)
-_SEEDS = {LEARNED: 5, ORACLE: 5, RULE: 3, VICE: 3, BASE: 1, CURIOSITY: 1}
-"""One where the dissertation has nothing earned."""
+_SEEDS = {LEARNED: 5, ORACLE: 5, RULE: 3, VICE: 3, BASE: 1, CURIOSITY: 1, CONSTANT: 1}
+"""One where nothing is earned in the dissertation, and of what shaping alone earns."""
 
-_CURIOUS_PUSHES = 3
-"""Seeds of curiosity where pucks may meet by chance."""
+_PUSH_SEEDS = {CURIOSITY: 3, CONSTANT: 0}
+"""Where pucks may meet by chance, and where nothing is shaped."""
 
 
 def _seeds(task: str, reward: str) -> int:
-    return _CURIOUS_PUSHES if (task, reward) == (PUSH, CURIOSITY) else _SEEDS[reward]
+    return _PUSH_SEEDS.get(reward, _SEEDS[reward]) if task == PUSH else _SEEDS[reward]
 
 
 EXPERIMENT = Trainings(

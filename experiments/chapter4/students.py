@@ -4,10 +4,11 @@
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from experiments.chapter4.tasks import TASK_SETS
+from experiments.chapter4.tasks import PARTS, TASK_SETS
 from experiments.robustness.evaluated import evaluate
 from experiments.teachers import STARTS, TASKS
 from experiments.workbench.pipelines import Step, Trials, step
@@ -61,11 +62,29 @@ def distil(method: str, conditioning: str, seed: int) -> Step:
     )
 
 
+@dataclass(frozen=True)
+class _Cell:
+    """An evaluation: its part of the table, such as `train.seen`, its step, its task and where episodes begin."""
+
+    part: str
+    step: str
+    task: str
+    starts: str
+
+
+_CELLS = tuple(
+    _Cell(f"{tasks}.{starts}", f"{tasks}-{starts}-{number}", task, starts)
+    for tasks, members in TASK_SETS.items()
+    for starts in STARTS
+    for number, task in enumerate(members)
+)
+
+
 def evaluations(policy: Any, *, episodes: int = _EPISODES) -> Iterator[Step]:
     """Yields the steps that evaluate a policy in every task, from both kinds of starts."""
-    for part, name, task, starts in _cells():
-        del part
-        yield evaluate("returns", name, task=task, policy=policy, episodes=episodes, **starts)
+    for each in _CELLS:
+        conditions = STARTS[each.starts]
+        yield evaluate("returns", each.step, task=each.task, policy=policy, episodes=episodes, **conditions)
 
 
 def samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
@@ -73,10 +92,8 @@ def samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
 
     A trial is an episode; those of all tasks of a set are together.
     """
-    parts: dict[str, list[Mapping[str, Any]]] = {}
-    for part, name, _, _ in _cells():
-        parts.setdefault(part, []).extend(trials[name])
-    for part, episodes in parts.items():
+    for part in PARTS:
+        episodes = [trial for each in _CELLS if each.part == part for trial in trials[each.step]]
         yield from _samples(part, episodes)
         for order, holds in ORDERS.items():
             yield from _samples(f"{part}.{order}", [each for each in episodes if each["starts"][_IN_ORDER] is holds])
@@ -84,20 +101,14 @@ def samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
 
 def figures(trials: Trials) -> Iterator[tuple[str, float]]:
     """Yields the share of the expert's return in each task, from each kind of starts."""
-    for part, name, task, _ in _cells():
-        ((_, share), _) = _samples(part, trials[name])
-        yield f"{task}.{part.rpartition('.')[2]}", round(share.mean, 4)
+    for each in _CELLS:
+        yield f"{each.task}.{each.starts}", round(_share(trials[each.step]).mean, 4)
 
 
 def _samples(part: str, episodes: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, Sample]]:
-    own = [each["episode_return"] for each in episodes]
-    yield f"{part}.{RETURN}", Sample(own, [each["expert_return"] for each in episodes])
-    yield f"{part}.{POINTS}", Sample(own, [1] * len(own))
+    yield f"{part}.{RETURN}", _share(episodes)
+    yield f"{part}.{POINTS}", Sample([each["episode_return"] for each in episodes], [1] * len(episodes))
 
 
-def _cells() -> Iterator[tuple[str, str, str, Mapping[str, Any]]]:
-    """Yields part, name of the step, task, and starts of each evaluation."""
-    for tasks, members in TASK_SETS.items():
-        for starts, conditions in STARTS.items():
-            for number, task in enumerate(members):
-                yield f"{tasks}.{starts}", f"{tasks}-{starts}-{number}", task, conditions
+def _share(episodes: Sequence[Mapping[str, Any]]) -> Sample:
+    return Sample([each["episode_return"] for each in episodes], [each["expert_return"] for each in episodes])

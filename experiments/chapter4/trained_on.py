@@ -10,9 +10,8 @@ from experiments.workbench.arms import Arm
 from experiments.workbench.pipelines import Step, Trials, fit_step, step
 from experiments.workbench.results import Sample
 
-LEARNED, ORACLE, BASE, RULE, VICE, CURIOSITY, ALIVE = (
-    *("learned", "oracle", "base", "rule", "vice", "curiosity", "alive"),
-)
+LEARNED, ORACLE, BASE, RULE, VICE = "learned", "oracle", "base", "rule", "vice"
+CURIOSITY, CONSTANT, ALIVE = "curiosity", "constant", "alive"
 PUSH, STACK, PLACE = "push", "blocks.yellow-on-top-of-red", "blocks.yellow-right-of-red"
 PENDULUM = "pendulum"
 
@@ -47,7 +46,7 @@ _OURS: Mapping[str, Any] = MappingProxyType({"conditions": [NEAR], "carry_weight
 """As the teachers are trained."""
 
 _DISSERTATIONS: Mapping[str, Any] = MappingProxyType(
-    {"encoder": "spatial", "action_repeat": 1, "episode_steps": 0, "iterations": _TICKS // (16 * 64) + 1}
+    {"encoder": "spatial", "action_repeat": 1, "episode_steps": 0, "iterations": _TICKS // (16 * 64)}
 )
 """The dissertation's row: an encoder that is trained, a binary reward, no curriculum, no repeat, no shaping."""
 
@@ -62,7 +61,7 @@ _BALANCING: Mapping[str, Any] = MappingProxyType(
         "epochs": 5,
         "lr": 3e-4,
         "gamma": 0.99,
-        "iterations": _TICKS // (16 * 128) + 1,
+        "iterations": _TICKS // (16 * 128),
     }
 )
 """A single frame tells no velocity."""
