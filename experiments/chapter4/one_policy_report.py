@@ -1,12 +1,14 @@
-"""The table of one policy from many: its claims, a row for each student, and the worst tasks."""
+"""The table of one policy from many: its claims, and rows by conditioning, starting order, student and task."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import chain
+from statistics import mean
 from typing import Any
 
 from experiments.chapter4.students import DISSERTATION, ORDERS, OURS, POINTS, RANDOM, RETURN
-from experiments.chapter4.tasks import PARTS, TEST
-from experiments.teachers import SEEN
+from experiments.chapter4.tasks import PARTS, TASK_SETS, TEST
+from experiments.teachers import SEEN, STARTS
 from experiments.workbench import claims
 from experiments.workbench.claims import Claim
 from experiments.workbench.plots import interval_plot
@@ -35,6 +37,8 @@ _DISSERTATION = {
 _ORDERED = f"{TEST}.{SEEN}"
 """Where conditionings are compared."""
 
+_BY_TASK = "Ours told a text, by task: mean of all seeds, % of the expert"
+
 Students = dict[tuple[str, str], list[ArmResult]]
 """Results by method and conditioning, by seed."""
 
@@ -51,6 +55,8 @@ def table(results: Sequence[ArmResult]) -> Table:
             Section(_header("% of the expert"), tuple(_rows(students, RETURN, _PER_CENT)), "Share of the expert"),
             Section(_header("points"), (*_dissertation(), *_rows(students, POINTS, 1)), "Points, of 100 timesteps"),
             Section(_header("% of the expert"), tuple(_rows_by_order(students)), "By the order at the start"),
+            Section(_header("% of the expert"), tuple(map(_row_of_student, results)), "Every student"),
+            Section(("task", *(f"{starts} starts, %" for starts in STARTS)), tuple(_rows_by_task(students)), _BY_TASK),
         ),
         claims=made,
         picture=Picture("Returns of students", draw),
@@ -156,6 +162,18 @@ def _rows_by_order(students: Students) -> Iterator[tuple[str, ...]]:
         for order in ORDERS:
             cells = (_cell(_samples(arms, f"{part}.{order}", RETURN), _PER_CENT) for part in PARTS)
             yield f"{method}, {order.replace('-', ' ')}", how, str(len(arms)), *cells
+
+
+def _row_of_student(result: ArmResult) -> tuple[str, ...]:
+    cells = (_cell(_samples([result], part, RETURN), _PER_CENT) for part in PARTS)
+    return result.method, result.options.get("conditioning", ""), f"seed {result.seed}", *cells
+
+
+def _rows_by_task(students: Students) -> Iterator[tuple[str, ...]]:
+    arms = students.get((OURS, "text"), [])
+    for task in chain.from_iterable(TASK_SETS.values()):
+        shares = [[each.figures[f"{task}.{starts}"] for each in arms] for starts in STARTS]
+        yield task, *(f"{_PER_CENT * mean(each):.1f}" if each else "" for each in shares)
 
 
 def _dissertation() -> Iterator[tuple[str, ...]]:
