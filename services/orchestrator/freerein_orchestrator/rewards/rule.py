@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from freerein import images
 from freerein.clients import SyncClient
 from freerein.errors import InvalidInput
 from freerein.goal_text import Grammar, not_known, noun_phrases
 from freerein.relations import SpatialRelation, caption
 from freerein.types.common import Image, ModelRef
 from freerein.types.reward import DescribeRequest, DescribeResponse
-from freerein_orchestrator.envs.policies import encode_raw
 from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
 from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.vec_env import CameraFrames, Frames, Rewards
@@ -74,8 +74,8 @@ class RuleReward(Reward):
     def of_frames(self, frames: CameraFrames, _true_rewards: Rewards | None = None) -> Rewards:
         """Returns the rewards."""
         camera, seen = next(iter(frames.items()))
-        images = tuple(encode_raw(frame, camera) for frame in seen)
-        parts = [images[start : start + _IMAGES_AT_ONCE] for start in range(0, len(images), _IMAGES_AT_ONCE)]
+        encoded = tuple(_encode(frame, camera) for frame in seen)
+        parts = [encoded[start : start + _IMAGES_AT_ONCE] for start in range(0, len(encoded), _IMAGES_AT_ONCE)]
         described = [each for part in parts for each in self._describe(part).descriptions]
         return np.array([not self.rule.captions.isdisjoint(each.captions) for each in described], np.float32)
 
@@ -85,14 +85,20 @@ class RuleReward(Reward):
         Raises:
             InvalidInput: The model does not know a word of the goal text.
         """
-        answer = self._describe((encode_raw(blank, camera),))
+        answer = self._describe((_encode(blank, camera),))
         if answer.unknown:
             raise not_known(answer.unknown, "", field="config.goal_text")
         return answer.model
 
-    def _describe(self, images: tuple[Image, ...]) -> DescribeResponse:
-        response: DescribeResponse = self.service.describe(DescribeRequest(images, self.rule.phrases, model=self.model))
+    def _describe(self, encoded: tuple[Image, ...]) -> DescribeResponse:
+        response: DescribeResponse = self.service.describe(
+            DescribeRequest(encoded, self.rule.phrases, model=self.model)
+        )
         return response
+
+
+def _encode(frame: Frames, camera: str) -> Image:
+    return images.encode(frame, encoding="raw_rgb8" if frame.shape[2] == 3 else "raw_gray8", camera=camera)
 
 
 def _make(setting: RewardSetting) -> RuleReward:
