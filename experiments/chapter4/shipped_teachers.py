@@ -1,6 +1,6 @@
 """The teachers that ship, under `models/orchestrator`, each by the name of its task.
 
-`python -m experiments.chapter4.shipped_teachers` publishes there the policies of the arms of `teachers` that are done.
+`python -m experiments.chapter4.shipped_teachers` publishes there the policies of `teachers` that have been trained.
 A second run changes nothing.
 """
 
@@ -39,7 +39,7 @@ def shipped_teachers() -> tuple[Teacher, ...]:
 
 
 def publish(work: Path) -> Iterator[ModelRef]:
-    """Yields the versions of teachers whose arms are done in a work folder, once they are among the shipped models."""
+    """Yields the versions of teachers that were trained in a work folder, once they are among the shipped models."""
     experiment, store = registry.load(_EXPERIMENT), ModelStore(_folder())
     for arm in experiment.arms:
         folder = arm_folder(_EXPERIMENT, experiment, arm, Places(work=work))
@@ -77,7 +77,7 @@ def _card(task: str, version: str) -> dict[str, str]:
 
 def main() -> None:
     """Publishes what is done, and prints it."""
-    parser = argparse.ArgumentParser(description="Publish the teachers whose arms are done among the shipped models.")
+    parser = argparse.ArgumentParser(description="Publish the teachers that have been trained among the shipped models.")
     parser.add_argument("--work", type=Path, default=Places.work, help="folder of the arms")
     for ref in publish(parser.parse_args().work):
         print(ref.name, ref.version)
