@@ -16,8 +16,9 @@ from experiments import registry
 from experiments.teachers import TASKS
 from experiments.workbench.pipelines import run_folder
 from experiments.workbench.runner import Places, arm_folder
-from freerein.learning import model_files
+from freerein.atomic_files import make_folder
 from freerein.learning.actor_critic.policy_files import IN_DISTRIBUTION_FILE, NAMES
+from freerein.learning.model_files import read_card
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ModelRef
 
@@ -35,19 +36,22 @@ class Teacher:
 
 def shipped_teachers() -> tuple[Teacher, ...]:
     """Returns the teachers that ship, or those in `FREEREIN_SHIPPED_DIR`, in the order of the tasks."""
-    return tuple(Teacher(task, _card(task, version)["sha256"]) for task in TASKS if (version := _active(task)))
+    store = ModelStore(_folder())
+    refs = [ModelRef(task, version) for task in TASKS if (version := store.active_version(task))]
+    return tuple(Teacher(ref.name, read_card(store.folder(ref), names=NAMES)["sha256"]) for ref in refs)
 
 
 def publish(work: Path) -> Iterator[ModelRef]:
     """Yields the versions of teachers that were trained in a work folder, once they are among the shipped models."""
     experiment, store = registry.load(_EXPERIMENT), ModelStore(_folder())
+    make_folder(_folder())
     for arm in experiment.arms:
         folder = arm_folder(_EXPERIMENT, experiment, arm, Places(work=work))
         made = run_folder(folder) / "parts" / _STEP / "artifacts"
         if not (made / NAMES.card).is_file():
             continue
-        with tempfile.TemporaryDirectory(dir=store_folder(arm.world)) as staging:
-            copy = Path(staging) / "policy"
+        with tempfile.TemporaryDirectory(dir=_folder().parent) as staging:
+            copy = Path(staging) / arm.world
             copy.mkdir()
             for name in _FILES:
                 shutil.copyfile(made / name, copy / name)
@@ -56,28 +60,13 @@ def publish(work: Path) -> Iterator[ModelRef]:
         yield ref
 
 
-def store_folder(name: str) -> Path:
-    """Returns the folder of a shipped policy's versions; it is made."""
-    folder = _folder() / name
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
 def _folder() -> Path:
     return Path(os.environ.get("FREEREIN_SHIPPED_DIR") or CLONE_MODELS) / "orchestrator"
 
 
-def _active(task: str) -> str:
-    return ModelStore(_folder()).active_version(task)
-
-
-def _card(task: str, version: str) -> dict[str, str]:
-    return model_files.read_card(_folder() / task / version, names=NAMES)
-
-
 def main() -> None:
     """Publishes what is done, and prints it."""
-    parser = argparse.ArgumentParser(description="Publish the teachers that have been trained among the shipped models.")
+    parser = argparse.ArgumentParser(description="Put trained teachers among the models that ship.")
     parser.add_argument("--work", type=Path, default=Places.work, help="folder of the arms")
     for ref in publish(parser.parse_args().work):
         print(ref.name, ref.version)
