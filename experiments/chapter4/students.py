@@ -22,11 +22,11 @@ ROLLOUTS = 50
 RETURN, POINTS = "return", "points"
 ORDERS: Mapping[str, bool] = MappingProxyType({"in-order": True, "wrong-order": False})
 _IN_ORDER = "start/in-order"
-_EPISODES = 50
+_EPISODES, _MOST_ENVS = 50, 25
 
 _FITS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        OURS: {"encoder": "goal_eye", "fusion": "concatenate", "steps": 12_000, "batch_size": 512},
+        OURS: {"encoder": "goal_eye", "fusion": "concatenate", "steps": 8_000, "batch_size": 512},
         DISSERTATION: {
             "fusion": "concatenate",
             "text_code": "sentence",
@@ -42,20 +42,21 @@ _FITS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 """Of the fits of students. The dissertation's has a ResNet18 of 128 pixels and 300 epochs; here it is the encoder that
 all policies have, of 64 pixels, and 28 epochs."""
 
-_ITERATIONS: Mapping[str, int] = MappingProxyType({OURS: 2, DISSERTATION: 1})
+_ITERATIONS: Mapping[str, int] = MappingProxyType({OURS: 5, DISSERTATION: 1})
 """Of rollouts: the student acts in those after the first."""
 
 
 def distil(method: str, conditioning: str, seed: int) -> Step:
     """Returns the step that distils a student."""
     iterations = _ITERATIONS[method]
+    rollouts = ROLLOUTS // iterations
     return step(
         STUDENT,
         "distill",
         teachers=list(TASKS),
-        rollouts=ROLLOUTS // iterations,
+        rollouts=rollouts,
         dagger_iterations=iterations - 1,
-        num_envs=25,
+        num_envs=min(_MOST_ENVS, rollouts),
         dataset=DATASET,
         seed=seed,
         config={**_FITS[method], "conditioning": conditioning, "reached_weight": 0.0, "seed": seed},
