@@ -62,7 +62,8 @@ class RobustnessExperiment(Experiment):
 
     Attributes:
         seeds: Number of independently trained networks of each kind.
-        policies: Folder of the orchestrator's policies, on whose states the reward is judged.
+        policies: Folder of the orchestrator's policies. The reward is judged on the states of those that a language
+            policy is distilled from; the teachers of chapter 4 are in it, too.
     """
 
     seeds: int = 3
@@ -90,7 +91,8 @@ class RobustnessExperiment(Experiment):
 
     @property
     def _policies(self) -> dict[str, StoredPolicy]:
-        return {policy.task: policy for policy in stored_policies(self.policies)}
+        stored = stored_policies(self.policies)
+        return {policy.task: policy for policy in stored if Path(policy.folder).parent.name in language.TEACHERS}
 
     def config(self, arm: Arm) -> Config:
         """Returns the specs of all data, the service's configuration of a fit, and the policy that acts."""

@@ -78,3 +78,17 @@ def test_texts_that_relate_nothing_are_known_by_their_words() -> None:
     assert known.read("\u958b\u304f!").training_text == "\u958b\u304f"
     assert known.read("close the gripper") == known.read("please close the gripper")
     assert known.read("close the gripper").unknown == ("close",)
+
+
+def test_objects_of_no_training_text_are_known_where_a_policy_finds_them_or_takes_any() -> None:
+    text = "put the blue block to the left of the green one"
+    caption = "a blue block to the left of a green block"
+    assert KNOWN.read(text).caption is None
+    assert KnownTexts((LEFT, RIGHT), objects=("a green block", "a blue block")).read(text).caption == caption
+    anything = KnownTexts((LEFT, RIGHT), any_object=True)
+    assert (
+        anything.read("a blue ball to the left of a green block").caption == "a blue ball to the left of a green block"
+    )
+    assert anything.read(LEFT).training_text == LEFT
+    assert anything.read("do not put a blue ball to the left of a green block").caption is None
+    assert anything.read("a blue ball").caption is None

@@ -4,6 +4,7 @@ import errno
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,16 @@ from freerein.clients import Channel, RewardClient, SyncClient
 from freerein.data import Dataset, dataset_path, reached
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.actor_critic.networks import ActorCriticSpec
-from freerein.learning.actor_critic.policy_files import save_policy
+from freerein.learning.actor_critic.policy_files import load_policy, save_policy
+from freerein.learning.actor_critic.shared_eye import load_eye
+from freerein.model_store import CLONE_MODELS, ModelStore
+from freerein.types.common import Camera, ModelRef
 from freerein.types.reward import RewardRequest
 from freerein_orchestrator.envs.episodes import Episode
 from freerein_orchestrator.envs.policies import PolicyHandle, PolicyOutput
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.distill.rollouts import relabelled
+from freerein_orchestrator.rl.goal_eye import load_object_encoder
 from freerein_orchestrator.rl.initial_network import init_network
 
 pytestmark = pytest.mark.e2e
@@ -157,6 +162,35 @@ def test_teachers_that_cannot_have_one_student_are_refused_with_the_difference_b
         assert not (run.folder / "rollouts").exists()
     with pytest.raises(InvalidInput, match="student must have"):
         distillation(config={"cameras": ["front"]}).check()
+
+
+def test_a_student_that_is_to_see_by_an_eye_gets_its_first_teachers_with_the_phrases_that_this_locates(
+    distillation: Callable[..., Any], data_dir: Path
+) -> None:
+    store = ModelStore(CLONE_MODELS / "reward")
+    model, goal_text = ModelRef("default", store.active_version("default")), "a red block to the left of a green block"
+    card = {"task": "blocks.red-left-of-green", "camera": "front", "goal_text": goal_text, "eye": vars(model)}
+    camera = Camera("front", 64, 64, 3)
+    encoder = load_object_encoder(store.folder(model), goal_caption=goal_text, camera=camera)
+    plain = ActorCriticSpec(height=64, width=64, channels=3, action_size=3, feature_size=8, hidden_size=8)
+    teach(data_dir, "a" * 32, spec=replace(plain, eye=encoder.spec), **card)
+    teach(data_dir, "b" * 32, spec=plain, **card)
+    lesson = {"rollouts": 1, "num_envs": 1, "config": {**TINY, "encoder": "goal_eye"}}
+    run = distillation(**lesson, teachers=["a" * 32])
+    assert not run.do(stop=(run.folder / "artifacts" / "dataset.json").exists)  # no fit: imitation is away
+
+    dataset = dataset_path(data_dir, "rollouts")
+    eye, told = load_eye(dataset / "eye")
+    assert eye.spec.phrases == ("a red block", "a green block", "a yellow block", "a blue block")
+    assert (told["model"], told["camera"]) == (vars(model), "front")
+    frames = torch.from_numpy(Dataset(dataset)[0].frames["front"].copy())
+    teacher = load_policy(data_dir / "runs" / ("a" * 32) / "artifacts", device="cpu").network.eye
+    assert teacher is not None
+    pairs = torch.tensor([[encoder.spec.first, encoder.spec.second]]).expand(len(frames), -1)
+    assert torch.equal(eye.of_pair(eye(frames), pairs), teacher(frames))
+
+    with pytest.raises(InvalidInput, match="this one has none"):
+        distillation(**lesson, teachers=["b" * 32], dataset="blind").check()
 
 
 @pytest.mark.parametrize("taken", ["rollouts", "rollouts.0"])

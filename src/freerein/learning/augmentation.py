@@ -33,6 +33,9 @@ _LEAST_SIDE, _MOST_SIDE = 0.04, 0.2
 
 _FRAMES_AT_ONCE = 256
 
+_CROP_AREA, _CROP_ASPECT = (0.95, 1.0), (0.98, 1.02)
+"""Area of a crop as a share of the frame's, and its width by its height (section 4.3)."""
+
 _BEGIN = 0.4
 """Share of a fit's steps before the first augmented ones."""
 
@@ -135,6 +138,28 @@ def add_distractors(frames: Tensor, *, strength: float, generator: torch.Generat
         covered = (is_inside & is_there)[..., None].to(frames.device)
         frames = torch.where(covered, colours.to(frames.device), frames)
     return frames
+
+
+def resized_crops(frames: Tensor, *, generator: torch.Generator) -> Tensor:
+    """Returns a random crop of each frame, uint8 (N, H, W, C), enlarged to the frame's size: RandomResizedCrop.
+
+    Areas are uniform and aspects log-uniform (section 4.3). Pixels are interpolated bilinearly.
+
+    Args:
+        frames: uint8 (N, H, W, C).
+        generator: Source of all draws, on the CPU.
+    """
+    area, aspect, *place = torch.rand((4, len(frames)), generator=generator)
+    area = _CROP_AREA[0] + (_CROP_AREA[1] - _CROP_AREA[0]) * area
+    least, most = map(math.log, _CROP_ASPECT)
+    aspect = torch.exp(least + (most - least) * aspect)
+    sides = torch.stack([(area * aspect).sqrt(), (area / aspect).sqrt()], dim=1).clamp(max=1)  # width, height
+    centres = (1 - sides) * (2 * torch.stack(place, dim=1) - 1)  # in frames 2 wide
+    transforms = torch.cat([torch.diag_embed(sides), centres[:, :, None]], dim=2).to(frames.device)
+    pixels = frames.permute(0, 3, 1, 2).float()
+    grid = functional.affine_grid(transforms, list(pixels.shape), align_corners=False)
+    cropped = functional.grid_sample(pixels, grid, padding_mode="border", align_corners=False)
+    return cropped.round_().clamp_(0, 255).to(torch.uint8).permute(0, 2, 3, 1).contiguous()
 
 
 def delayed(strength: float, *, step: int, steps: int) -> float:

@@ -32,10 +32,13 @@ class TrainState(Generic[N]):
     carried: Mapping[str, Tensor] = field(default_factory=dict)
 
     @classmethod
-    def with_adam(cls, network: N, lr: float, *, generator: torch.Generator) -> "TrainState[N]":
-        """Returns the initial state of a network that Adam trains; frozen parameters stay as they are."""
+    def with_adam(cls, network: N, lr: float, *, generator: torch.Generator, amsgrad: bool = False) -> "TrainState[N]":
+        """Returns the initial state of a network that Adam trains; frozen parameters stay as they are.
+
+        `amsgrad` chooses the variant of Reddi et al. (2018), whose second moments never fall.
+        """
         trainable = [parameter for parameter in network.parameters() if parameter.requires_grad]
-        return cls(network, torch.optim.Adam(trainable, lr, fused=True), generator)
+        return cls(network, torch.optim.Adam(trainable, lr, fused=True, amsgrad=amsgrad), generator)
 
     def rng(self) -> np.random.Generator:
         """Returns numpy's generator for one step, seeded by the next draw of `generator`."""

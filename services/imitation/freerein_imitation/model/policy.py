@@ -87,6 +87,8 @@ class PolicySpec(ControlSpec):
         skills: Skills that a recipe may name; empty for other goal forms.
         goal_texts: The only texts that a goal may be; empty for others, too.
         training_texts: Texts that it was fitted to, where it follows others, too; empty where that is unknown.
+        objects: Noun phrases that goals may relate beside those of the training texts.
+        unseen_objects: Whether goals may relate any others.
         robot_state_size: S, numbers of the robot's own state; 0 for a policy that takes none.
         recurrent_size: R, numbers of recurrent state.
         recurrent_pixels: How many of the last of them are pixels of earlier frames, whole numbers of 0 to 255; `state`
@@ -102,6 +104,8 @@ class PolicySpec(ControlSpec):
     skills: tuple[str, ...] = ()
     goal_texts: tuple[str, ...] = ()
     training_texts: tuple[str, ...] = ()
+    objects: tuple[str, ...] = ()
+    unseen_objects: bool = False
     robot_state_size: int = 0
     recurrent_size: int = 0
     recurrent_pixels: int = 0
@@ -120,7 +124,8 @@ class PolicySpec(ControlSpec):
     @cached_property
     def known_texts(self) -> KnownTexts:
         """Reads goal texts as the policy's training has them."""
-        return KnownTexts(self.goal_texts or self.training_texts)
+        texts = self.goal_texts or self.training_texts
+        return KnownTexts(texts, objects=self.objects, any_object=self.unseen_objects)
 
     def step_limit(self, goal: object) -> int:
         """Returns the control steps after which a goal, such as the name of a skill, is abandoned."""

@@ -20,6 +20,7 @@ from freerein.clients.tasks import find_task
 from freerein.config import parse
 from freerein.data.lookup import open_dataset
 from freerein.errors import InvalidInput
+from freerein.learning.actor_critic.eye import EYE
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.actor_critic.policy_files import StoredPolicy, save_in_distribution, save_policy
 from freerein.learning.checkpoints import JSON, Checkpoint
@@ -35,7 +36,7 @@ from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.observed_cameras import ObservedCameras
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.kinds.policy_video import can_film, save_video
-from freerein_orchestrator.kinds.ppo_config import EYE, RESUME_FIELD, PPORunConfig
+from freerein_orchestrator.kinds.ppo_config import RESUME_FIELD, PPORunConfig
 from freerein_orchestrator.rewards import REWARDS, make_rewards
 from freerein_orchestrator.rewards.entry import RewardSetting
 from freerein_orchestrator.rewards.learned import LearnedReward

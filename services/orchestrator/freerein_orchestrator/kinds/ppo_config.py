@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput, must_be
+from freerein.learning.actor_critic.eye import EYE
 from freerein.learning.encoders import ENCODERS
 from freerein.types.common import check_name
 from freerein_orchestrator.rewards import REWARDS
 from freerein_orchestrator.rewards.entry import RewardEntry
 from freerein_orchestrator.rl.config import PPOConfig
 
-EYE = "goal_eye"
 RESUME_FIELD = "config.resume_from"
 
 
@@ -34,11 +34,11 @@ class PPORunConfig(PPOConfig):
             goal text and frame by the grounding model; `oracle`, the true reward, to compare with. See
             Rewards for the others.
         dataset: Name of the dataset whose trajectories end in success, for a reward that sees such examples.
-        reward_model: Name of the reward model; empty for the service's default, for `base` `grounding`. The version
-            that is active when the run starts is used to its end.
+        reward_model: Name of the reward model; empty for the service's default, for `base` and `rule` `grounding`. The
+            version that is active when the run starts is used to its end.
         encoder: `goal_eye`, a frozen eye for the two objects of the goal and the policy's own body, or an image encoder
             that is trained with the policy, such as `spatial`, or `convolutional` for a camera that moves. The eye has
-            the encoder of `reward_model`; for `base`, that of the service's default reward model.
+            the encoder of `reward_model`; for `base` and `rule`, that of the service's default reward model.
         conditions: The task's conditions that it is trained under, such as a curriculum of starts.
         action_repeat: Timesteps that each action is held for, or until the episode ends, in training and after it.
         practice_share: Share of the environments that begin a rollout in a state that an earlier episode of the

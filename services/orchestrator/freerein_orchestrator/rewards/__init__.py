@@ -3,11 +3,13 @@
 from collections.abc import Mapping
 
 from freerein.learning.actor_critic.networks import ActorCritic
+from freerein_orchestrator.rewards.alive import ALIVE
 from freerein_orchestrator.rewards.constant import CONSTANT
 from freerein_orchestrator.rewards.curiosity import CURIOSITY
 from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
 from freerein_orchestrator.rewards.learned import LEARNED
 from freerein_orchestrator.rewards.oracle import ORACLE
+from freerein_orchestrator.rewards.rule import RULE
 from freerein_orchestrator.rewards.shaping import SHAPING
 from freerein_orchestrator.rewards.similarity import BASE
 from freerein_orchestrator.rewards.vice import VICE
@@ -21,6 +23,8 @@ REWARDS: Mapping[str, RewardEntry] = {
     "constant": CONSTANT,
     "shaping": SHAPING,
     "vice": VICE,
+    "rule": RULE,
+    "alive": ALIVE,
 }
 
 

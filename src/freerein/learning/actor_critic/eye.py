@@ -14,6 +14,9 @@ from freerein.config import bounded
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
 from freerein.learning.encoders.clip import ClipImageEncoder, ClipImageSpec
 
+EYE = "goal_eye"
+"""What a configuration calls it, among the image encoders."""
+
 _OBJECT_WIDTH = 0.2
 """Width of an object in a frame that is 2 wide: eps of table 4.1."""
 
@@ -79,7 +82,10 @@ class GoalEye(nn.Module):
         They are the body's place; offsets between the place where it holds things and both objects, and between these,
         in object widths to the right and up; and the presence of both objects.
         """
-        body, (places, presence) = self.body(frames), self.locate(frames)
+        return self.features(self.body(frames), *self.locate(frames))
+
+    def features(self, body: Tensor, places: Tensor, presence: Tensor) -> Tensor:
+        """Returns features as `forward` does, of the body's place (N, A), and of places and presences of `locate`."""
         first, second = places.unbind(dim=1)
         held = body @ self.hand_eye + self.grasp  # (N, 2)
         offsets = torch.cat([held - first, held - second, first - second], dim=1) / _OBJECT_WIDTH
@@ -101,8 +107,13 @@ class GoalEye(nn.Module):
 
     def locate(self, frames: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the objects' places, float32 (N, 2, 2), to the right and up in [-1, 1], and presences (N, 2)."""
-        keypoints = self.objects.relation_pool.keypoints(self.objects.feature_maps(frames))[:, self._pair]
-        presence = keypoints[:, :, 2]  # (N, 2)
+        places, presence = self.locate_all(frames)
+        return places[:, self._pair], presence[:, self._pair]
+
+    def locate_all(self, frames: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns places, float32 (N, P, 2), and presences (N, P), of all phrases that the encoder locates."""
+        keypoints = self.objects.relation_pool.keypoints(self.objects.feature_maps(frames))
+        presence = keypoints[:, :, 2]  # (N, P)
         down, right = (keypoints[:, :, :2] / presence[:, :, None].clamp(min=_LEAST_PRESENCE)).unbind(dim=2)
         return torch.stack([right, -down], dim=2), presence
 

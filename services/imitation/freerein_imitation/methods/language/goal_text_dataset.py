@@ -23,13 +23,15 @@ class TimestepBatch:
     """B timesteps.
 
     Attributes:
-        frames: By camera, uint8 (B, H, W, C).
+        frames: By camera, uint8 (B, H, W, C); empty where `seen` stands for them.
+        seen: What an eye sees of them, float32 (B, D); None without one.
         texts: Codes of the goal texts, float32 (B, code size).
         actions: float32 (B, A) or int64 (B, 1).
         judged: What a reward model says of the frames; None where it was not asked.
     """
 
     frames: FrameTensors
+    seen: Tensor | None
     texts: Tensor
     actions: Tensor
     judged: "Judged | None"
@@ -58,16 +60,24 @@ class GoalTextDataset:
         trajectories: Trajectories with goal texts.
         codes: Code of each distinct goal text, float32 (code size,).
         rivals: The other texts that contradict each distinct goal text.
+        seen: What an eye sees of each trajectory's frames, float32 (T, D); empty without one.
     """
 
     trajectories: Trajectories
     codes: dict[str, npt.NDArray[np.float32]]
     rivals: Mapping[str, Sequence[str]]
+    seen: Sequence[npt.NDArray[np.float32]] = ()
 
     @classmethod
-    def of(cls, trajectories: Trajectories, codes: dict[str, npt.NDArray[np.float32]]) -> "GoalTextDataset":
-        """Returns the dataset of trajectories and the codes of their texts."""
-        return cls(trajectories, codes, contradictions(list(codes)))
+    def of(
+        cls,
+        trajectories: Trajectories,
+        codes: dict[str, npt.NDArray[np.float32]],
+        *,
+        seen: Sequence[npt.NDArray[np.float32]] = (),
+    ) -> "GoalTextDataset":
+        """Returns the dataset of trajectories, the codes of their texts, and what an eye sees of them."""
+        return cls(trajectories, codes, contradictions(list(codes)), seen)
 
     def __len__(self) -> int:
         """Returns the timesteps of all trajectories together."""
@@ -79,7 +89,8 @@ class GoalTextDataset:
 
     def subset(self, items: Sequence[int]) -> "GoalTextDataset":
         """Returns some of the trajectories, without copying frames."""
-        return replace(self, trajectories=self.trajectories.subset(items))
+        seen = [self.seen[item] for item in items] if self.seen else ()
+        return replace(self, trajectories=self.trajectories.subset(items), seen=seen)
 
     def distinct_codes(self) -> Tensor:
         """Returns the codes of the distinct goal texts, float32 (n, code size)."""
@@ -89,11 +100,30 @@ class GoalTextDataset:
         """Returns a batch of timesteps, int64 (B,), which count over all trajectories."""
         items = np.searchsorted(self._ends, timesteps, side="right")
         places = list(zip(items.tolist(), (timesteps - self._ends[items]).tolist(), strict=True))  # from each end
-        goal_texts = self.trajectories.goal_texts
-        frames = self.trajectories.frames_at([(item, np.array([t])) for item, t in places], device)
-        texts = _stack([self.codes[goal_texts[item]] for item, _ in places], device)
-        actions = _stack([self.trajectories.actions[item][t] for item, t in places], device)
-        return TimestepBatch(frames, texts, actions, self._judged(places, device))
+        frames = {} if self.seen else self.trajectories.frames_at([(i, np.array([t])) for i, t in places], device)
+        texts, seen, actions = (
+            torch.from_numpy(each).to(device)
+            for each in (self._codes[self._texts[items]], self._seen[timesteps], self._actions[timesteps])
+        )
+        return TimestepBatch(frames, seen if self.seen else None, texts, actions, self._judged(places, device))
+
+    @cached_property
+    def _texts(self) -> npt.NDArray[np.int64]:
+        """Number of each trajectory's text among the codes, int64 (n,)."""
+        numbers = {text: number for number, text in enumerate(self.codes)}
+        return np.array([numbers[text] for text in self.trajectories.goal_texts], np.int64)
+
+    @cached_property
+    def _codes(self) -> npt.NDArray[np.float32]:
+        return np.stack(list(self.codes.values()))
+
+    @cached_property
+    def _seen(self) -> npt.NDArray[np.float32]:
+        return np.concatenate(self.seen) if self.seen else np.zeros((len(self), 0), np.float32)
+
+    @cached_property
+    def _actions(self) -> npt.NDArray[Any]:
+        return np.concatenate([self.trajectories.actions[item] for item in range(len(self.trajectories))])
 
     def _judged(self, places: Sequence[tuple[int, int]], device: torch.device) -> Judged | None:
         """Returns what is known of the frames at timesteps of trajectories; a timestep has the same rival each time."""

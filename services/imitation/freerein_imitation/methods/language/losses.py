@@ -12,6 +12,8 @@ import torch
 from torch import Tensor
 
 from freerein.learning import weights
+from freerein.learning.actor_critic.shared_eye import SharedEye
+from freerein.learning.augmentation import resized_crops
 from freerein.learning.encoders import FrameTensors
 from freerein.learning.image_statistics import image_statistics
 from freerein.learning.in_distribution import KNOWN_FRAMES
@@ -21,6 +23,7 @@ from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods.language.config import LanguageConfig
+from freerein_imitation.methods.language.eye_encoder import EyeEncoder
 from freerein_imitation.methods.language.goal_text_dataset import (
     GoalTextDataset,
     TimestepBatch,
@@ -28,6 +31,7 @@ from freerein_imitation.methods.language.goal_text_dataset import (
     split_by_text,
 )
 from freerein_imitation.methods.language.network import LanguageNetwork, LanguageSpec, principal_components
+from freerein_imitation.methods.language.texts.goal_text_codes import encode_text
 from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextReader
 from freerein_imitation.methods.language.texts.reader_fit import fit_goal_text_reader
 from freerein_imitation.methods.language.texts.text_encoder import TextEncoder
@@ -41,6 +45,7 @@ _NORMALISATION_FRAMES = 2000
 _EVALUATION_TIMESTEPS = 1024
 _EVALUATION_BATCH = 128
 _CALIBRATION_TIMESTEPS = 8192
+_FRAMES_AT_ONCE = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +55,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
     Attributes:
         text_encoder: File of the text encoder.
         reader: Reads goal texts.
+        eye: What the student sees by; None for an image encoder that is trained.
     """
 
     config: LanguageConfig
@@ -60,6 +66,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
     reader: GoalTextReader
     fingerprint: str
     device: torch.device
+    eye: SharedEye | None = None
 
     @classmethod
     def prepare(
@@ -72,6 +79,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
         action: ActionSpec,
         fingerprint: str,
         device: torch.device,
+        eye: SharedEye | None = None,
     ) -> "LanguageLearner":
         """Returns the learner for trajectories with goal texts; fits a reader and reads every distinct text once.
 
@@ -80,12 +88,15 @@ class LanguageLearner(Learner[LanguageNetwork]):
         encoder, distinct = TextEncoder(text_encoder), sorted(set(trajectories.goal_texts))
         reader = fit_goal_text_reader(encoder, seed=config.seed)
         read = distinct[:1] * len(distinct) if config.conditioning == "none" else distinct
-        codes = {text: reader.encode(each, encoder).numpy() for text, each in zip(distinct, read, strict=True)}
-        dataset = GoalTextDataset.of(trajectories, codes)
+        phrases = eye.spec.phrases if eye else ()
+        encode = partial(encode_text, reader=reader, encoder=encoder, text_code=config.text_code, phrases=phrases)
+        codes = {text: encode(each).numpy() for text, each in zip(distinct, read, strict=True)}
+        predicts_reached = bool(trajectories.reached) and config.reached_weight > 0
+        learned = trajectories if predicts_reached else replace(trajectories, reached=())
+        dataset = GoalTextDataset.of(learned, codes, seen=_see(eye, cameras[0].name, trajectories) if eye else ())
         training, validation = split_by_text(dataset, fraction=config.validation_fraction, seed=config.seed)
         known = training.distinct_codes()
-        texts = {"text_components": principal_components(known).shape[1], "known_texts": len(known)}
-        predicts_reached = bool(trajectories.reached) and config.reached_weight > 0
+        components = principal_components(known[:, : reader.code_size]).shape[1]
         spec = spec_of(
             config,
             LanguageSpec,
@@ -93,12 +104,17 @@ class LanguageLearner(Learner[LanguageNetwork]):
             action=action,
             text_size=encoder.size,
             predicts_reached=predicts_reached,
-            **texts,
+            text_components=components,
+            known_texts=len(known),
+            eye=eye.spec.image if eye else None,
+            phrases=phrases,
         )
         fingerprint = f"{fingerprint} {hashlib.sha256(text_encoder).hexdigest()}"
+        if eye:
+            fingerprint += f" {weights.sha256(eye)}"
         if predicts_reached:
             fingerprint += f" {_sha256(trajectories.reached)}"
-        return cls(config, spec, training, validation, text_encoder, reader, fingerprint, device)
+        return cls(config, spec, training, validation, text_encoder, reader, fingerprint, device, eye)
 
     @property
     def size(self) -> int:
@@ -110,15 +126,18 @@ class LanguageLearner(Learner[LanguageNetwork]):
         network = LanguageNetwork(self.spec)
         weights.initialise(network, generator=generator)
         network.reader.load_state_dict(self.reader.state_dict())
+        if self.eye is not None and isinstance(network.encoder, EyeEncoder):
+            network.encoder.shared.load_state_dict(self.eye.state_dict())
         frames = self.training.trajectories.sample_frames(_NORMALISATION_FRAMES)
         network.fit_normalisation(frames, self.training.distinct_codes(), generator=generator)
-        return TrainState.with_adam(network.to(self.device), self.config.lr, generator=generator)
+        network.to(self.device)
+        return TrainState.with_adam(network, self.config.lr, generator=generator, amsgrad=self.config.amsgrad)
 
     def loss(self, state: State, items: Items) -> Losses:
         """Returns the action loss of some timesteps, and that of what is said of reaching the goal."""
         batch = self.training.collate(items, device=self.device)
-        batch = replace(batch, frames=self._shifted(batch.frames, state.generator))
-        features = state.network.encoder(batch.frames)
+        batch = replace(batch, frames=self._augmented(batch.frames, state.generator))
+        features = features_of(state.network, batch)
         modulated = state.network.modulate(features, batch.texts)
         action = action_loss(state.network, modulated, batch.actions).mean()
         if state.network.recognizer is None:
@@ -131,7 +150,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
         """Returns the mean action loss over validation timesteps, the same ones each time."""
         network = state.network
         losses = [
-            action_loss(network, network.modulate(network.encoder(batch.frames), batch.texts), batch.actions)
+            action_loss(network, network.modulate(features_of(network, batch), batch.texts), batch.actions)
             for batch in self._held_out(_EVALUATION_TIMESTEPS)
         ]
         return torch.cat(losses).mean().item()
@@ -149,7 +168,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
         parts = [
             reached_logits(network, features, network.modulate(features, batch.texts), batch)
             for batch in self._held_out(_CALIBRATION_TIMESTEPS)
-            for features in [network.encoder(batch.frames)]
+            for features in [features_of(network, batch)]
         ]
         logits, shown, known = (torch.cat(each) for each in zip(*parts, strict=True))
         return logits[known], shown[known]
@@ -162,21 +181,41 @@ class LanguageLearner(Learner[LanguageNetwork]):
         if network.recognizer is not None:
             network.recognizer.calibrate(*self.held_out_reached(network))
         generator = torch.Generator().manual_seed(self.config.seed)
-        shifted = self._shifted(self.training.trajectories.sample_frames(KNOWN_FRAMES), generator)
+        seen = self._augmented(self.training.trajectories.sample_frames(KNOWN_FRAMES), generator)
         held_out = trajectory_statistics(self.validation.trajectories).to(self.device)
         network.in_distribution.fit(
-            image_statistics(shifted).to(self.device),
+            image_statistics(seen).to(self.device),
             held_out,
             held_out.new_ones(len(held_out)),
             trajectories=len(self.validation.trajectories),
         )
 
-    def _shifted(self, frames: FrameTensors, generator: torch.Generator) -> FrameTensors:
-        """Returns frames shifted at random, as the configuration says."""
-        if not self.config.max_shift:
+    def _augmented(self, frames: FrameTensors, generator: torch.Generator) -> FrameTensors:
+        """Returns frames shifted, or cropped, at random, as the configuration says; as they are for an eye."""
+        if self.eye is not None:
             return frames
-        shift = partial(random_shift, most=self.config.max_shift, generator=generator)
-        return {camera: shift(each) for camera, each in frames.items()}
+        if self.config.max_shift:
+            shift = partial(random_shift, most=self.config.max_shift, generator=generator)
+            frames = {camera: shift(each) for camera, each in frames.items()}
+        if self.config.resized_crops:
+            frames = {camera: resized_crops(each, generator=generator) for camera, each in frames.items()}
+        return frames
+
+
+def features_of(network: LanguageNetwork, batch: TimestepBatch) -> Tensor:
+    """Returns what the encoder of a network makes of a batch's frames, float32 (B, D)."""
+    return network.encoder(batch.frames) if batch.seen is None else batch.seen
+
+
+def _see(eye: SharedEye, camera: str, trajectories: Trajectories) -> list[npt.NDArray[np.float32]]:
+    """Returns what an eye sees of the frames of each trajectory, float32 (T, D)."""
+    arrays = trajectories.frames[camera]
+    seen: list[npt.NDArray[np.float32]] = []
+    for item in range(len(trajectories)):
+        frames = torch.from_numpy(np.array(arrays[item]))
+        parts = [eye(frames[start : start + _FRAMES_AT_ONCE]) for start in range(0, len(frames), _FRAMES_AT_ONCE)]
+        seen.append(torch.cat(parts).numpy())
+    return seen
 
 
 def action_loss(network: LanguageNetwork, modulated: Tensor, actions: Tensor) -> Tensor:

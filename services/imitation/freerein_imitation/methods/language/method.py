@@ -9,6 +9,10 @@ import torch
 
 from freerein.data import read_teachers
 from freerein.errors import InvalidInput
+from freerein.goal_text import Grammar
+from freerein.learning.actor_critic import shared_eye
+from freerein.learning.actor_critic.eye import EYE
+from freerein.learning.actor_critic.shared_eye import SharedEye
 from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
@@ -35,6 +39,7 @@ def _check(source: FitDataset, config: LanguageConfig) -> None:
             hint="Record each trajectory with its goal text.",
         )
     spec_of(config, LanguageSpec, cameras=source.cameras(config.cameras), action=dataset.spec.action)
+    _find_eye(source, config)
 
 
 def _complete(source: FitDataset, config: LanguageConfig) -> LanguageConfig:
@@ -42,7 +47,37 @@ def _complete(source: FitDataset, config: LanguageConfig) -> LanguageConfig:
     return replace(config, max_steps_per_goal=config.max_steps_per_goal or longest)
 
 
+def _find_eye(source: FitDataset, config: LanguageConfig) -> tuple[SharedEye, dict[str, Any]] | None:
+    """Returns the eye of the policies that acted in a dataset, and its card; None for another encoder.
+
+    Raises:
+        InvalidInput: They had none, or it is of another camera, or a goal text relates no two things that it locates.
+    """
+    if config.encoder != EYE:
+        return None
+    folder = source.root / shared_eye.FOLDER
+    if not folder.is_dir():
+        raise shared_eye.no_eye()
+    eye, card = shared_eye.load_eye(folder)
+    if config.cameras != (card["camera"],):
+        raise InvalidInput(
+            f"The eye sees the camera {card['camera']}; the student is to see {', '.join(config.cameras)}.",
+            field="config.cameras",
+            hint="Leave them out, or choose an image encoder.",
+        )
+    known = Grammar(eye.spec.phrases, eye.spec.phrases)
+    unread = [text for text in sorted(set(source.dataset.goal_texts)) if known.read(text).statement is None]
+    if unread:
+        raise InvalidInput(
+            f"With an eye each goal text must relate two of: {', '.join(eye.spec.phrases)}; {len(unread)} do not.",
+            field="config.encoder",
+            hint="Choose an image encoder.",
+        )
+    return eye, card
+
+
 def _prepare(source: FitDataset, config: LanguageConfig, device: torch.device) -> LanguageLearner:
+    found = _find_eye(source, config)
     return LanguageLearner.prepare(
         config,
         source.trajectories(config.cameras),
@@ -51,18 +86,21 @@ def _prepare(source: FitDataset, config: LanguageConfig, device: torch.device) -
         action=source.dataset.spec.action,
         fingerprint=source.dataset.fingerprint,
         device=device,
+        eye=found[0] if found else None,
     )
 
 
 def _card(source: FitDataset, learner: LanguageLearner, fitted: FitResult[LanguageNetwork]) -> dict[str, Any]:
     texts = sorted(set(source.dataset.goal_texts))
     threshold, figures = _reached(learner, fitted.network)
+    found = _find_eye(source, learner.config)
     return {
         **ControlSpec(source.dataset.spec.control_dt_s, threshold, learner.config.max_steps_per_goal).to_card(),
         "figures": {**fitted.figures, "action_loss": fitted.validation_loss, **figures},
         "goal_texts": {"count": len(texts), "first": texts[:_TEXTS_IN_CARD]},
         **supervision_of(read_teachers(source.root), is_judged=learner.spec.predicts_reached),
         **text_encoder_entry(minilm.NAME, learner.text_encoder),
+        **({"eye": {"model": found[1]["model"], "locates": list(found[0].spec.phrases)}} if found else {}),
     }
 
 

@@ -12,16 +12,21 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from freerein.config import bounded, one_of
+from freerein.learning.actor_critic.eye import EYE
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
+from freerein.learning.encoders.clip import ClipImageSpec
 from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
+from freerein_imitation.methods.language.eye_encoder import EyeEncoder
 from freerein_imitation.methods.language.recognizer import GoalTextRecognizer
+from freerein_imitation.methods.language.texts.goal_text_codes import PAIR, RELATIONS, TextCode, statement_size
 from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextReader
 from freerein_imitation.model.torch_policy import PolicyNetwork
 
 Conditioning = Literal["text", "code", "none"]
-"""What a network gets of a goal text; see `LanguageConfig`."""
+Fusion = Literal["film", "concatenate"]
+"""What a network gets of a goal text, and how; see `LanguageConfig`."""
 
 MAX_COMPONENTS = 64
 MAX_KNOWN_TEXTS = 10_000
@@ -38,10 +43,15 @@ class LanguageSpec(InputSpec):
         text_components: Principal components of the training goal texts.
         known_texts: Training goal texts.
         conditioning: As in `LanguageConfig`.
+        fusion: As in `LanguageConfig`, like the next two.
+        text_code: What the code of a text is made of.
+        unseen_objects: Whether goals may name others than its training texts do.
+        eye: Sizes of the image encoder of its eye; None for an image encoder that is trained.
+        phrases: Noun phrases that the eye locates.
         predicts_reached: Whether it says that the goal is reached.
         reached_steps: As in `LanguageConfig`.
         encoder: Image encoder.
-        features: Image features per camera.
+        features: Image features per camera; unused with an eye.
         text_features: Size of the text features.
         hidden_size: Units of the two hidden layers.
     """
@@ -50,9 +60,14 @@ class LanguageSpec(InputSpec):
     text_components: int = bounded(1, least=1, most=MAX_COMPONENTS)
     known_texts: int = bounded(1, least=1, most=MAX_KNOWN_TEXTS)
     conditioning: Conditioning = "text"
+    fusion: Fusion = "film"
+    text_code: TextCode = "statement"
+    unseen_objects: bool = False
+    eye: ClipImageSpec | None = None
+    phrases: tuple[str, ...] = ()
     predicts_reached: bool = False
     reached_steps: int = bounded(1, least=1, most=256)
-    encoder: str = one_of(ENCODERS, "spatial")
+    encoder: str = one_of((EYE, *ENCODERS), "spatial")
     features: int = bounded(128, least=8, most=1024)
     text_features: int = bounded(32, least=1, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
@@ -60,11 +75,16 @@ class LanguageSpec(InputSpec):
     @property
     def condition_size(self) -> int:
         """Size of what the network gets of a text."""
-        return self.known_texts if self.conditioning == "code" else self.text_components
+        if self.conditioning == "code":
+            return self.known_texts
+        return len(RELATIONS) if self.eye is not None else self.text_components
 
 
 class LanguageNetwork(PolicyNetwork):
     """pi(a_t | x_t, text): image features modulated by the text (FiLM), two hidden layers, action head.
+
+    With an eye, image features are the places of the two things that the text names, and what is left of the text is
+    the relation. Without a text they are those of all things.
 
     Attributes:
         reader: Reads goal texts; trained before, on text alone.
@@ -75,22 +95,36 @@ class LanguageNetwork(PolicyNetwork):
     text_mean: Tensor
     text_basis: Tensor
     known_texts: Tensor
+    known_statements: Tensor
 
     def __init__(self, spec: LanguageSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
+        self.encoder = _encoder(spec)
+        view_size = self._view_size
         self.text_layer = nn.Linear(spec.condition_size, spec.text_features)
-        self.film = nn.Linear(spec.text_features, 2 * self.encoder.size)
-        self.hidden1 = nn.Linear(self.encoder.size, spec.hidden_size)
+        if spec.fusion == "film":
+            self.film = nn.Linear(spec.text_features, 2 * view_size)
+        else:
+            view_size += spec.text_features
+        self.hidden1 = nn.Linear(view_size, spec.hidden_size)
         self.hidden2 = nn.Linear(spec.hidden_size, spec.hidden_size)
         self.action_head = nn.Linear(spec.hidden_size, spec.encoded_action_size)
         self.in_distribution = InDistribution(*statistics_sizes(spec.cameras))
         self.reader = GoalTextReader(spec.text_size).requires_grad_(False)
-        self.recognizer = GoalTextRecognizer(self.encoder.size, spec.hidden_size) if spec.predicts_reached else None
+        self.recognizer = GoalTextRecognizer(view_size, spec.hidden_size) if spec.predicts_reached else None
         self.register_buffer("text_mean", torch.zeros(self.reader.code_size))
         self.register_buffer("text_basis", torch.zeros(self.reader.code_size, spec.text_components))
         self.register_buffer("known_texts", torch.zeros(spec.known_texts, spec.text_components))
+        if spec.eye is not None:
+            self.register_buffer("known_statements", torch.zeros(spec.known_texts, statement_size(spec.phrases)))
+
+    @property
+    def _view_size(self) -> int:
+        """Numbers that the layers get of frames, before the text modulates them."""
+        if isinstance(self.encoder, EyeEncoder) and self.spec.conditioning != "none":
+            return self.encoder.shared.pair_size
+        return self.encoder.size
 
     @torch.no_grad()
     def fit_normalisation(self, frames: FrameTensors, texts: Tensor, *, generator: torch.Generator) -> None:
@@ -102,9 +136,12 @@ class LanguageNetwork(PolicyNetwork):
             generator: On the CPU.
         """
         self.encoder.fit_normalisation(frames, generator=generator)
-        self.text_mean.copy_(texts.mean(dim=0))
-        self.text_basis.copy_(principal_components(texts))
+        read = texts[:, : self.reader.code_size]
+        self.text_mean.copy_(read.mean(dim=0))
+        self.text_basis.copy_(principal_components(read))
         self.known_texts.copy_(self._components(texts))
+        if self.spec.eye is not None:
+            self.known_statements.copy_(texts[:, self.reader.code_size :])
 
     def forward(self, frames: FrameTensors, texts: Tensor) -> Tensor:
         """Returns actions, float32 (B, A), not clipped, or logits of discrete ones, (B, 1, choices).
@@ -132,26 +169,45 @@ class LanguageNetwork(PolicyNetwork):
 
     def _condition(self, texts: Tensor) -> Tensor:
         """Returns what the network gets of texts: float32 (B, condition_size)."""
-        if self.spec.conditioning != "code":
+        if self.spec.conditioning == "code":
+            return functional.one_hot(self._nearest(texts), self.spec.known_texts).to(texts.dtype)
+        if self.spec.eye is None:
             return self._components(texts)
-        nearest = self._distances(texts).argmin(dim=1)  # (B,)
-        return functional.one_hot(nearest, self.spec.known_texts).to(texts.dtype)
+        relation = texts[:, self.reader.code_size + PAIR :]
+        return relation if self.spec.conditioning == "text" else torch.zeros_like(relation)
+
+    def _view(self, features: Tensor, texts: Tensor) -> Tensor:
+        """Returns what the layers get of frames, float32 (B, view size), of what `encoder` returned, told texts."""
+        if not isinstance(self.encoder, EyeEncoder) or self.spec.conditioning == "none":
+            return features
+        is_code = self.spec.conditioning == "code"
+        said = self.known_statements[self._nearest(texts)] if is_code else texts[:, self.reader.code_size :]
+        return self.encoder.shared.of_pair(features, said[:, :PAIR].long())
+
+    def _nearest(self, texts: Tensor) -> Tensor:
+        """Returns which training text is nearest to each of some, int64 (B,)."""
+        return self._distances(texts).argmin(dim=1)
 
     def _distances(self, texts: Tensor) -> Tensor:
         return torch.cdist(self._components(texts), self.known_texts)  # (B, known_texts)
 
     def _components(self, texts: Tensor) -> Tensor:
-        return (texts - self.text_mean) @ self.text_basis
+        return (texts[:, : self.reader.code_size] - self.text_mean) @ self.text_basis
 
     def act(self, features: Tensor, texts: Tensor) -> Tensor:
         """Returns actions as `forward` does, of frames with features float32 (B, D), from `encoder`."""
         return self.act_on(self.modulate(features, texts))
 
     def modulate(self, features: Tensor, texts: Tensor) -> Tensor:
-        """Returns features, float32 (B, D), from `encoder`, as codes of texts, (B, code size), modulate them."""
-        text = functional.relu(self.text_layer(self._condition(texts)))  # (B, text_features)
-        scale, shift = self.film(text).chunk(2, dim=1)  # (B, D) each
-        modulated: Tensor = features * (1 + scale) + shift
+        """Returns features, float32 (B, D), from `encoder`, as codes of texts, (B, code size), modulate them.
+
+        Where they are not to be modulated, the text's features stand beside them.
+        """
+        text, view = functional.relu(self.text_layer(self._condition(texts))), self._view(features, texts)
+        if self.spec.fusion == "concatenate":
+            return torch.cat([view, text], dim=1)
+        scale, shift = self.film(text).chunk(2, dim=1)  # (B, view size) each
+        modulated: Tensor = view * (1 + scale) + shift
         return modulated
 
     def act_on(self, modulated: Tensor) -> Tensor:
@@ -159,6 +215,12 @@ class LanguageNetwork(PolicyNetwork):
         hidden = functional.relu(self.hidden2(functional.relu(self.hidden1(modulated))))  # (B, hidden_size)
         action: Tensor = self.action_head(hidden)  # (B, A or choices)
         return action[:, None] if self.spec.action.choices else action
+
+
+def _encoder(spec: LanguageSpec) -> CameraEncoders | EyeEncoder:
+    if spec.eye is None:
+        return CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
+    return EyeEncoder(spec.eye, spec.phrases, camera=spec.cameras[0], action_size=spec.action.size)
 
 
 def principal_components(embeddings: Tensor) -> Tensor:

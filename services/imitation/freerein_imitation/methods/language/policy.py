@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from copy import deepcopy
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from freerein.errors import InvalidInput
 from freerein.learning import model_files
 from freerein.learning.checkpoints import JSON
 from freerein_imitation.methods.language.network import LanguageNetwork, LanguageSpec
+from freerein_imitation.methods.language.texts.goal_text_codes import encode_text
 from freerein_imitation.methods.language.texts.text_encoder import TextEncoder
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.torch_policy import StepInputs, StepOutputs, TorchPolicy
@@ -62,6 +64,8 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
             control,
             goal_form="text",
             training_texts=tuple(training_texts),
+            objects=spec.phrases,
+            unseen_objects=spec.unseen_objects and spec.eye is None,  # an eye has no place for others
             predicts_reached=spec.predicts_reached,
             recurrent_size=spec.reached_steps - 1 if spec.predicts_reached else 0,
         )
@@ -83,7 +87,15 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
 
     def encode_goals(self, goals: Sequence[str]) -> npt.NDArray[np.float32]:
         """Returns the codes of texts, float32 (N, code size); each is independent of the others."""
-        return torch.stack([self._reader.encode(goal, self._text_encoder) for goal in goals]).numpy()
+        spec = self._network.spec
+        encode = partial(
+            encode_text,
+            reader=self._reader,
+            encoder=self._text_encoder,
+            text_code=spec.text_code,
+            phrases=spec.phrases,
+        )
+        return torch.stack([encode(goal) for goal in goals]).numpy()
 
     def _step(self, inputs: StepInputs) -> StepOutputs:
         network = self._network

@@ -84,13 +84,19 @@ class GoalTextReader(nn.Module):
         tokens = encoder.tokenize(text)
         probabilities = self(encoder.token_states(tokens)).softmax(dim=1)  # (L, tags)
         tags = probabilities.argmax(dim=1)  # (L,)
-        code = torch.zeros(_PARTS, encoder.size)
         if not {Tag.FIRST, Tag.SECOND} <= set(tags.tolist()) or int(tags.max()) < Tag.LEFT_OF:
-            code[_OTHER_TEXT] = encoder.embed(tokens)
-            return code.flatten()
+            return self.encode_sentence(text, encoder)
+        code = torch.zeros(_PARTS, encoder.size)
         relation = Tag(Tag.LEFT_OF + int(probabilities[:, Tag.LEFT_OF :].sum(dim=0).argmax()))
         words = encoder.word_embeddings(tokens)  # (L, size)
         for tag, place in zip((Tag.FIRST, Tag.SECOND), _PLACES[relation], strict=True):
             code[place] += words[tags == tag].sum(dim=0)
         code[_MOVED] = _MOVED_WEIGHT * words[tags == Tag.FIRST].sum(dim=0)
+        return code.flatten()
+
+    @torch.no_grad()
+    def encode_sentence(self, text: str, encoder: TextEncoder) -> Tensor:
+        """Returns the code of a text that is read as no statement, float32 (code_size,): its sentence embedding."""
+        code = torch.zeros(_PARTS, encoder.size)
+        code[_OTHER_TEXT] = encoder.embed(encoder.tokenize(text))
         return code.flatten()

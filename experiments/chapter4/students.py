@@ -1,0 +1,115 @@
+"""Students of the 18 teachers: how each is distilled, what it is evaluated in, and what it earns there.
+
+<folder>/unseen.json   what a scan of the whole dataset found in the colour of the test tasks
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+from experiments.chapter4.tasks import PARTS, TASK_SETS
+from experiments.robustness.evaluated import evaluate
+from experiments.teachers import STARTS, TASKS
+from experiments.workbench.pipelines import Step, Trials, step
+from experiments.workbench.results import Sample
+
+OURS, DISSERTATION, RANDOM = "ours", "dissertation", "random"
+DATASET, STUDENT = "rollouts", "student"
+ROLLOUTS = 50
+"""Of each teacher's task, in all iterations together."""
+
+RETURN, POINTS = "return", "points"
+ORDERS: Mapping[str, bool] = MappingProxyType({"in-order": True, "wrong-order": False})
+_IN_ORDER = "start/in-order"
+_EPISODES, _MOST_ENVS = 50, 25
+
+_FITS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        OURS: {"encoder": "goal_eye", "fusion": "concatenate", "steps": 8_000, "batch_size": 512},
+        DISSERTATION: {
+            "fusion": "concatenate",
+            "text_code": "sentence",
+            "unseen_objects": True,
+            "max_shift": 0.0,
+            "resized_crops": True,
+            "amsgrad": True,
+            "lr": 1e-4,
+            "steps": 20_000,
+        },
+    }
+)
+"""Of the fits of students. The dissertation's has a ResNet18 of 128 pixels and 300 epochs; here it is the encoder that
+all policies have, of 64 pixels, and 28 epochs."""
+
+_ITERATIONS: Mapping[str, int] = MappingProxyType({OURS: 5, DISSERTATION: 1})
+"""Of rollouts: the student acts in those after the first."""
+
+
+def distil(method: str, conditioning: str, seed: int) -> Step:
+    """Returns the step that distils a student."""
+    iterations = _ITERATIONS[method]
+    rollouts = ROLLOUTS // iterations
+    return step(
+        STUDENT,
+        "distill",
+        teachers=list(TASKS),
+        rollouts=rollouts,
+        dagger_iterations=iterations - 1,
+        num_envs=min(_MOST_ENVS, rollouts),
+        dataset=DATASET,
+        seed=seed,
+        config={**_FITS[method], "conditioning": conditioning, "reached_weight": 0.0, "seed": seed},
+    )
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """An evaluation: its part of the table, such as `train.seen`, its step, its task and where episodes begin."""
+
+    part: str
+    step: str
+    task: str
+    starts: str
+
+
+_CELLS = tuple(
+    _Cell(f"{tasks}.{starts}", f"{tasks}-{starts}-{number}", task, starts)
+    for tasks, members in TASK_SETS.items()
+    for starts in STARTS
+    for number, task in enumerate(members)
+)
+
+
+def evaluations(policy: Any, *, episodes: int = _EPISODES) -> Iterator[Step]:
+    """Yields the steps that evaluate a policy in every task, from both kinds of starts."""
+    for each in _CELLS:
+        conditions = STARTS[each.starts]
+        yield evaluate("returns", each.step, task=each.task, policy=policy, episodes=episodes, **conditions)
+
+
+def samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
+    """Yields returns as a share of the expert's in the same episodes, and in points; all, and by the starting order.
+
+    A trial is an episode; those of all tasks of a set are together.
+    """
+    for part in PARTS:
+        episodes = [trial for each in _CELLS if each.part == part for trial in trials[each.step]]
+        yield from _samples(part, episodes)
+        for order, holds in ORDERS.items():
+            yield from _samples(f"{part}.{order}", [each for each in episodes if each["starts"][_IN_ORDER] is holds])
+
+
+def figures(trials: Trials) -> Iterator[tuple[str, float]]:
+    """Yields the share of the expert's return in each task, from each kind of starts."""
+    for each in _CELLS:
+        yield f"{each.task}.{each.starts}", round(_share(trials[each.step]).mean, 4)
+
+
+def _samples(part: str, episodes: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, Sample]]:
+    yield f"{part}.{RETURN}", _share(episodes)
+    yield f"{part}.{POINTS}", Sample([each["episode_return"] for each in episodes], [1] * len(episodes))
+
+
+def _share(episodes: Sequence[Mapping[str, Any]]) -> Sample:
+    return Sample([each["episode_return"] for each in episodes], [each["expert_return"] for each in episodes])

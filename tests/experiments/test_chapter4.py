@@ -1,0 +1,259 @@
+"""Chapter 4's experiments: their pipelines, what a student may not have seen, figures from trials, and claims."""
+
+import shutil
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from experiments import criteria, registry
+from experiments.chapter4 import one_policy_report, puck_scenes, rewards_report, shipped_teachers, students, trained_on
+from experiments.chapter4.places_in_frames import project
+from experiments.chapter4.tasks import TEST_TASKS
+from experiments.chapter4.unseen_colour import blue_pixels, check_unseen, scanned
+from experiments.robustness.draw import Drawn
+from experiments.robustness.worlds import open_world
+from experiments.teachers import TASKS
+from experiments.workbench import table
+from experiments.workbench.arms import Arm
+from experiments.workbench.pipelines import run_folder
+from experiments.workbench.results import ArmResult, Sample
+from experiments.workbench.runner import Places, arm_folder
+
+from freerein.data import DatasetSpec, create
+from freerein.errors import FailedPrecondition
+from freerein.learning.actor_critic.policy_files import IN_DISTRIBUTION_FILE
+from freerein.model_store import CLONE_MODELS, ModelStore
+from freerein.types.common import ActionSpec, Trajectory
+from freerein_imitation.methods.language.config import LanguageConfig
+from freerein_imitation.methods.language.texts import tagged_texts
+from freerein_orchestrator.kinds import KINDS
+from freerein_sim.worlds.tasks import tasks
+
+PIPELINES = ("table_4_2", "fig_4_4", "fig_4_6")
+
+
+@pytest.mark.parametrize("name", PIPELINES)
+def test_the_orchestrator_takes_the_pipeline_of_every_arm_and_evaluates_on_seeds_of_no_training(name: str) -> None:
+    experiment: Any = registry.load(name)
+    for arm in experiment.arms:
+        steps = experiment.config(arm)["steps"]
+        KINDS["pipeline"].parse({"steps": steps})
+        held_out = {step["config"]["seed"] for step in steps if step["kind"] == "evaluate"}
+        assert held_out
+        assert arm.seed not in held_out
+
+
+def test_students_learn_from_fifty_rollouts_a_task_of_tasks_without_blue() -> None:
+    assert len({*TASKS, *TEST_TASKS}) == 36
+    assert all(name in tasks() for name in TEST_TASKS)
+    assert not any("blue" in task for task in TASKS)
+    for method in (students.OURS, students.DISSERTATION):
+        config = students.distil(method, "text", 0)["config"]
+        assert (config["dagger_iterations"] + 1) * config["rollouts"] <= 50
+        assert config["teachers"] == list(TASKS)
+        LanguageConfig.from_mapping(config["config"])
+
+
+def test_no_word_that_trains_the_reader_of_texts_is_blue() -> None:
+    rng = np.random.default_rng(0)
+    drawn = {word for _ in range(2000) for word, _ in tagged_texts.draw_tagged_text(rng)}
+    assert "red" in drawn
+    assert "blue" not in drawn
+
+
+def shown(task: str) -> npt.NDArray[np.uint8]:
+    """Returns the first frame of an episode, uint8 (64, 64, 3)."""
+    with closing(open_world(task)) as world:
+        world.reset(np.random.default_rng(0))
+        return world.render("front", height=64, width=64).copy()
+
+
+def record(root: Path, *names: str) -> None:
+    """Records a frame of each task, with its goal text."""
+    action = ActionSpec(3, 0, ("dy", "dz", "gripper"), "m", (1.0, 1.0, 1.0))
+    with create(root, DatasetSpec(25, {"front": (64, 64, 3)}, action, "blocks")) as writer:
+        for name in names:
+            done = np.zeros((1, 3), np.float32)
+            writer.append(Trajectory({"front": shown(name)[None]}, done, goal_text=tasks()[name].goal_text))
+
+
+def test_a_scan_of_all_that_was_learned_from_finds_a_colour_that_is_shown_or_named(tmp_path: Path) -> None:
+    record(tmp_path / "train", *TASKS)
+    check_unseen(tmp_path / "train", tmp_path)
+    assert scanned(tmp_path) == {"timesteps": 18, "pixels": 0, "texts": 0}
+    assert all(blue_pixels(shown(task)) > 10 for task in TEST_TASKS)
+
+    record(tmp_path / "test", TASKS[0], TEST_TASKS[0])
+    folder = tmp_path / "arm"
+    folder.mkdir()
+    for _ in range(2):  # what was found stays found
+        with pytest.raises(FailedPrecondition, match="1 texts"):
+            check_unseen(tmp_path / "test", folder)
+        shutil.rmtree(tmp_path / "test", ignore_errors=True)
+
+
+def test_gray_walls_and_other_colours_are_not_blue() -> None:
+    others = [(120, 135, 147), (219, 23, 18), (31, 168, 41), (250, 204, 15), (0, 0, 20)]
+    assert blue_pixels(np.array(others, np.uint8)) == 0
+    assert blue_pixels(np.array([(26, 77, 235)], np.uint8)) == 1
+
+
+def student(method: str, how: str, seed: int, share: float) -> ArmResult:
+    """Returns the result of a student that earns a share of the expert's 80 points."""
+    options = {"conditioning": how} if how else {}
+    trials = {
+        each["name"]: [
+            {"episode_return": 80 * share + place, "expert_return": 80.0, "starts": {"start/in-order": place % 2 == 0}}
+            for place in range(4)
+        ]
+        for each in students.evaluations("random")
+    }
+    return result(Arm("blocks", method, options, seed), dict(students.samples(trials)), dict(students.figures(trials)))
+
+
+def result(arm: Arm, samples: Mapping[str, Sample], figures: Mapping[str, float] = {}) -> ArmResult:
+    identity = {"name": arm.name, "world": arm.world, "method": arm.method, "options": arm.options, "seed": arm.seed}
+    made = {"config": {}, "world_version": "blocks-v1", "machine": {}, "command": "python"}
+    return ArmResult(**identity, **made, figures=figures, samples=samples, minutes=1.0, cpu_minutes=1.0)
+
+
+def test_a_claim_on_students_needs_three_seeds_and_a_difference_that_is_above_chance_in_the_same_episodes() -> None:
+    shares = {("ours", "text"): 0.7, ("ours", "code"): 0.5, ("ours", "none"): 0.3, ("dissertation", "text"): 0.25}
+    results = [student(*row, seed, share) for row, share in shares.items() for seed in range(3)]
+    made = one_policy_report.table([*results, student("random", "", 0, 0.0)])
+    found = {claim.claim: claim for claim in made.claims}
+    seen = found["language_train_seen"]
+    assert (seen.value, seen.met, seen.seeds, seen.trials) == (
+        pytest.approx(100 * (56 + 1.5) / 80, abs=0.01),
+        True,
+        3,
+        72,
+    )
+    assert seen.baseline == pytest.approx(100 * (20 + 1.5) / 80, abs=0.01)
+    assert found["language_train_seen_points"].dissertation == 29.89
+    assert found["conditioning_order"].value == pytest.approx(20, abs=0.01)
+    assert found["conditioning_order"].met
+    assert "dissertation" in table.markdown(made)
+
+    fewer = {claim.claim: claim for claim in one_policy_report.table(results[1:]).claims}
+    assert not fewer["language_train_seen"].met
+    assert not fewer["conditioning_order"].met
+    alike = [student("ours", how, seed, 0.5) for how in ("text", "code", "none") for seed in range(3)]
+    assert not {claim.claim: claim for claim in one_policy_report.table(alike).claims}["conditioning_order"].met
+
+
+@pytest.mark.parametrize(("ours", "oracle", "met"), [(78.0, 80.0, True), (60.0, 80.0, False), (30.0, 30.0, False)])
+def test_a_ratio_counts_where_the_oracles_policy_comes_near_the_expert(ours: float, oracle: float, met: bool) -> None:
+    results = []
+    for reward, points in ((trained_on.LEARNED, ours), (trained_on.ORACLE, oracle)):
+        episode = {"episode_return": points, "expert_return": 80.0}
+        samples = dict(trained_on.samples({"returns": [episode] * 4}))
+        results += [result(Arm(trained_on.STACK, reward, {"tuning": "ours"}, seed), samples) for seed in range(5)]
+    made = rewards_report.manipulation(results)
+    (ratio,) = (claim for claim in made.claims if claim.claim == "stack_ratio")
+    assert (ratio.value, ratio.met) == (pytest.approx(ours / oracle), met)
+    table.markdown(made)
+
+
+def test_a_pendulum_has_no_expert_to_share_with() -> None:
+    (sample,) = dict(trained_on.samples({"returns": [{"episode_return": 200.0}]})).items()
+    made = rewards_report.balance([result(Arm("pendulum", "alive"), dict([sample]))])
+    assert made.claims[0].value == 200.0
+
+
+def test_teachers_whose_arms_are_done_ship_by_the_names_of_their_tasks_and_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment, work = registry.load("teachers"), tmp_path / "work"
+    (made,) = (CLONE_MODELS / "orchestrator" / "yellow-left-of-green").glob("*/policy.json")
+    arm = experiment.arms[2]
+    folder = arm_folder("teachers", experiment, arm, Places(work=work))
+    artifacts = run_folder(folder) / "parts" / "ppo" / "artifacts"
+    shutil.copytree(made.parent, artifacts)
+    (artifacts / IN_DISTRIBUTION_FILE).write_bytes(b"")
+    (artifacts / "policy.mp4").write_bytes(b"")
+    monkeypatch.setenv("FREEREIN_SHIPPED_DIR", str(tmp_path / "shipped"))
+    assert shipped_teachers.shipped_teachers() == ()
+    (ref,) = shipped_teachers.publish(work)
+    assert list(shipped_teachers.publish(work)) == [ref]
+    assert ref.name == arm.world
+    store = ModelStore(tmp_path / "shipped" / "orchestrator")
+    assert sorted(path.name for path in store.folder(ref).iterdir()) == [
+        "in_distribution.safetensors",
+        "manifest.json",
+        "policy.json",
+        "policy.safetensors",
+    ]
+    (teacher,) = shipped_teachers.shipped_teachers()
+    assert teacher.task == arm.world
+    assert len(teacher.sha256) == 64
+
+
+def test_a_blocks_centre_is_projected_to_where_it_is_seen() -> None:
+    task = "blocks.red-left-of-green"
+    with closing(open_world(task)) as world:
+        world.reset(np.random.default_rng(0))
+        frame, state = world.render("front", height=64, width=64).astype(int), world.truth().state
+    names = tasks()[task].spec.state_names
+    is_red = (frame[..., 0] > 100) & (frame[..., 1] < 60)
+    rows, columns = np.nonzero(is_red)
+    centre = project(np.array([state[names.index(f"red.{axis}")] for axis in "xyz"]), size=64)
+    assert centre == pytest.approx([columns.mean() + 0.5, rows.mean() + 0.5], abs=1.5)
+
+
+def scene(**places: tuple[float, float, float]) -> npt.NDArray[np.float64]:
+    """Returns a true state, float64 (S,), of `push.scatter` with things at places, by names such as `red_puck`."""
+    names = tasks()["push.scatter"].spec.state_names
+    state = np.full(len(names), -3.0)
+    for thing, place in places.items():
+        for axis, value in zip("xyz", place, strict=True):
+            state[names.index(f"{thing.replace('_', '-')}.{axis}")] = value
+    return state
+
+
+def test_goals_about_pucks_are_asked_where_a_colour_names_one_thing_and_judged_by_true_places() -> None:
+    left, right, behind = (0.0, -0.1, 0.0125), (0.0, 0.1, 0.0125), (-0.2, 0.1, 0.0125)
+    states = np.stack(
+        [
+            scene(red_puck=left, green_puck=right, blue_block=behind),
+            scene(red_puck=left, red_block=right, green_puck=behind),
+            scene(red_puck=left, tray=(0.0, -0.1, 0.017)),
+        ]
+    )
+    red, green, blue, brown = (puck_scenes.NOUNS.index(each) for each in ("red", "green", "blue", "brown"))
+    found = {(each.criterion, each.nouns): each for each in puck_scenes.asked(states)}
+    assert found["left_of", (red, green)].holds.tolist() == [True, False, False]
+    assert found["left_of", (red, green)].counts.tolist() == [True, False, False]  # red names two things, then nothing
+    assert found["in_front_of", (green, blue)].holds[0]
+    assert found["close_to", (red, green)].counts[0]
+    assert not found["close_to", (red, green)].holds[0]
+    assert found["inside_of", (red, brown)].holds.tolist() == [False, False, True]
+    assert not found["inside_of", (red, green)].counts.any()  # no tray
+    assert not found["in_front_of", (red, green)].counts.any()  # neither is in front
+
+
+def test_a_criterion_that_is_always_told_right_has_1_and_one_that_is_never_rewarded_one_half() -> None:
+    rng = np.random.default_rng(0)
+    things = ("red_puck", "green_puck", "blue_block", "tray")
+    states = np.stack(
+        [
+            scene(**{each: (*rng.uniform(-0.1, 0.1, 2), rng.choice([0.0125, 0.05])) for each in things})
+            for _ in range(60)
+        ]
+    )
+    scenes = Drawn({"lengths": np.full(30, 2)}, {"states": states})
+    right = dict(criteria._samples(scenes, lambda goal: goal.holds))
+    never = dict(criteria._samples(scenes, lambda goal: np.zeros(len(goal.holds), np.bool_)))
+    assert len(right) == 9
+    assert all(each.mean == pytest.approx(1) for each in right.values())
+    assert all(each.mean == pytest.approx(0.5, abs=1e-6) for each in never.values())
+    results = [result(Arm("push.scatter", criteria.MODEL, seed=seed), right) for seed in range(3)]
+    made = criteria.EXPERIMENT.table([*results, result(Arm("push.scatter", criteria.RULE), never)])
+    claims = {claim.claim: claim for claim in made.claims}
+    assert claims["criteria"].met
+    assert claims["rule_left_of"].value == pytest.approx(50, abs=0.01)
+    table.markdown(made)
