@@ -90,6 +90,7 @@ export interface CheckRequest {
 
 export interface CheckResponse {
   holds: Tensor | readonly unknown[] | null;
+  values: Tensor | readonly unknown[] | null;
 }
 
 export interface CloseSessionRequest {
@@ -221,6 +222,7 @@ export interface EmbedGoalResponse {
 export interface ExpertActionsRequest {
   session: string;
   recipes: readonly Recipe[];
+  behaviour: "expert" | "random" | null;
 }
 
 export interface ExpertActionsResponse {
@@ -379,6 +381,12 @@ export interface ListSkillsResponse {
 
 export interface ListTasksResponse {
   tasks: readonly Task[];
+}
+
+export interface Measure {
+  name: string;
+  unit: string;
+  needs_reference: boolean;
 }
 
 export interface MetricRow {
@@ -626,6 +634,8 @@ export interface Task {
   conditions: readonly string[];
   min_skills: number;
   max_skills: number;
+  has_explorer: boolean;
+  measures: readonly Measure[];
 }
 
 export interface Tensor {
