@@ -191,7 +191,7 @@ def _target_cells(target: Target, claim: Claim, rows: Rows) -> tuple[str, ...]:
         target.figure,
         _value_cell(claim),
         "" if claim.target is None else f"{claim.target:.2f}",
-        f"{', '.join(gaps[:2])}; {', '.join(gaps[2:4])}; {gaps[4]}" if any(gaps) else "",
+        "; ".join(filter(None, (", ".join(gaps[:2]), ", ".join(gaps[2:4]), gaps[4]))) if any(gaps) else "",
         "yes" if claim.met else "no",
         "; ".join(missing),
     )

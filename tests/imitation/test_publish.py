@@ -212,7 +212,7 @@ async def test_a_policy_of_an_earlier_version_is_refused(served: Served, tmp_pat
 
 async def test_a_policy_without_a_score_is_refused_and_leaves_nothing(served: Served, tmp_path: Path) -> None:
     (leave(tmp_path, make()) / "in_distribution.safetensors").unlink()
-    with pytest.raises(FailedPrecondition, match="familiar"):
+    with pytest.raises(FailedPrecondition, match="score"):
         await served.publish()
     assert names(tmp_path) == ["runs"]
 
