@@ -24,7 +24,9 @@ export function SegmentTable({ editor }: { editor: Editor }) {
             <tr>
               <th scope="col">Skill</th>
               <th scope="col">Begin</th>
-              <th scope="col" class="end">End</th>
+              <th scope="col" class="end">
+                End
+              </th>
               <th scope="col">
                 <abbr title="Mean confidence of its timesteps">Conf.</abbr>
               </th>
