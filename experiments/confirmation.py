@@ -48,6 +48,8 @@ class _World:
         steps: Optimiser steps.
         encoder: Image encoder.
         stride: As in `SegmentationConfig`.
+        claims_gap: Whether a claim closes a gap from the best of all baselines here; elsewhere the dissertation's
+            method has `_SEEDS` networks, other objectives one, and none sees what comes after.
     """
 
     task: str
@@ -59,13 +61,14 @@ class _World:
     steps: int
     encoder: str = "patch"
     stride: int = 3
+    claims_gap: bool = True
 
 
 _WORLDS = (
     _World("dial", 2_000, 200, 2, 4, 5, steps=4_000),
     _World("bins", 1_000, 200, 3, 3, 4, steps=4_000),
-    _World("tabletop", 1_600, 200, 2, 2, 2, steps=3_000),
-    _World("grid", 50_000, 2_000, 2, 4, 5, steps=3_200, stride=1),
+    _World("tabletop", 1_600, 200, 2, 2, 2, steps=3_000, claims_gap=False),
+    _World("grid", 50_000, 2_000, 2, 4, 5, steps=3_200, stride=1, claims_gap=False),
     _World("grid-no-indicator", 50_000, 2_000, 2, 4, 5, steps=3_200, encoder="moments", stride=1),
 )
 _UNEVEN = (
@@ -107,12 +110,17 @@ def _once(*methods: Method) -> tuple[Method, ...]:
 
 
 def _methods(world: _World) -> tuple[Method, ...]:
-    published = ("lse", "mil", "fcn_mil", "ccnn")
+    others = ("mil", "fcn_mil", "ccnn")
+    if not world.claims_gap:
+        compared = (*objectives("lse", contexts=(CAUSAL,)), *_once(*objectives(*others, contexts=(CAUSAL,))))
+    else:
+        whole = _once(*objectives("lse", *others, "lse_per_timestep", contexts=(WHOLE,)))
+        compared = (*objectives("lse", *others, contexts=(CAUSAL,)), *whole)
     return (
         *recipe(seeds=_SEEDS_OF_RECIPE),
-        *objectives(*published, contexts=(CAUSAL,)),
-        *_once(*objectives(*published, "lse_per_timestep", contexts=(WHOLE,)), supervised(WHOLE)),
-        *(at_every_timestep("lse", "mil", "fcn_mil") if world.task == "dial" else ()),
+        *compared,
+        *_once(supervised(WHOLE)),
+        *(_once(*at_every_timestep("lse", "mil", "fcn_mil")) if world.task == "dial" else ()),
         *([recipe_augmented(WHOLE)] if world.task == "dial" else ()),
         *([ours_augmented(_SHIPPED[world.task])] if world.task in _SHIPPED else ()),
     )
