@@ -20,6 +20,7 @@ from experiments.segmentation.rows import LEAST_GAP, PER_CENT, PUBLISHED, Row, R
 from experiments.workbench import claims
 from experiments.workbench.results import ArmResult, Sample
 from freerein import metrics
+from freerein.data.labels import moved
 
 Labels = npt.NDArray[np.int64]
 
@@ -99,11 +100,6 @@ def moved_gap(rows: Rows, row: Row) -> float | None:
 def _unpacked(arm: ArmResult, name: str) -> list[Labels]:
     lengths = [int(count) for count in arm.samples[f"test.{FRAME_ACCURACY}"].counts]
     return unpack(cast(str, arm.shown[f"test.{name}"]), lengths)
-
-
-def moved(labels: Labels, timesteps: int) -> Labels:
-    """Returns labels (T,) so many timesteps earlier; the last skill lasts until the end."""
-    return labels[np.minimum(np.arange(len(labels)) + timesteps, len(labels) - 1)]
 
 
 def boundary_errors(predicted: Labels, truth: Labels) -> list[int]:

@@ -31,7 +31,7 @@ from freerein.types.sim import DemonstrateRequest
 from freerein_sim.workers.demonstrations import make_demonstration
 from freerein_sim.worlds.tasks import tasks
 
-CLONED, EXPERT, TRUE_LABELS = "cloned", "expert", "true"
+CLONED, EXPERT, TRUE_LABELS, RANDOM_LABELS = "cloned", "expert", "true", "random"
 SUBTASKS, WHOLE_RECIPES = "zero_shot.subtasks", "zero_shot.whole"
 
 _DATASET, _RECIPES, _COLLECTED = "demonstrations", "recipes", "collected"
@@ -43,30 +43,56 @@ _ENVIRONMENTS = 25
 
 
 @dataclass(frozen=True)
+class Labelled:
+    """Labels that policies are cloned from: those of a segmentation network, true ones, or random ones.
+
+    Attributes:
+        method: Method of the network; or `TRUE_LABELS` or `RANDOM_LABELS`.
+        context: Context of the network; empty without one.
+        earlier: Timesteps by which its labels are moved to the front.
+        seeds: Number of times that network and policies are trained.
+    """
+
+    method: str
+    context: str = ""
+    earlier: int = 0
+    seeds: int = 1
+
+    @property
+    def options(self) -> dict[str, str]:
+        """Options of an arm."""
+        earlier = f"earlier-{self.earlier}" if self.earlier else ""
+        named = {"labels": self.method, "context": self.context, "moved": earlier}
+        return {name: value for name, value in named.items() if value}
+
+
+@dataclass(frozen=True)
 class ZeroShot(Experiment):
     """Arms that clone skill policies from labels, and have them execute recipes; without a table.
 
     Attributes:
         source: Name of the segmentation experiment that has the methods and their learning rates.
         study: Its study of the world.
-        labelled_by: Methods and contexts of the networks whose labels are cloned; the ceiling clones true ones.
-        seeds: Number of times that networks and policies are trained.
+        labels: What is cloned.
         policies: Keys of the imitation service's configuration.
         recipes: Number of recipes that are executed; they are as long as those of the study's test split.
     """
 
     source: str
     study: Study
-    labelled_by: tuple[tuple[str, str], ...]
-    seeds: int
+    labels: tuple[Labelled, ...]
     policies: Mapping[str, JSON]
     recipes: int
 
     @property
     def arms(self) -> tuple[Arm, ...]:
         """The scripted expert, then all policies of a seed before those of the next."""
-        labels_of = [{"labels": TRUE_LABELS}, *({"labels": method, "context": of} for method, of in self.labelled_by)]
-        cloned = [Arm(self.study.world, CLONED, each, seed) for seed in range(self.seeds) for each in labels_of]
+        cloned = [
+            Arm(self.study.world, CLONED, labels.options, seed)
+            for seed in range(max(each.seeds for each in self.labels))
+            for labels in self.labels
+            if seed < labels.seeds
+        ]
         return (Arm(self.study.world, EXPERT), *cloned)
 
     @property
@@ -79,8 +105,8 @@ class ZeroShot(Experiment):
         config: dict[str, object] = {"recipes": self.recipes, "data": self.study.data}
         if arm.method == CLONED:
             config["policies"] = dict(self.policies)
-        if arm.method == CLONED and arm.options["labels"] != TRUE_LABELS:
-            config |= {"fit": self.study.fit_config(_network(arm)), "smoothing": SMOOTHING}
+        if arm.method == CLONED and "context" in arm.options:
+            config |= {"fit": self.study.fit_config(_network(arm)), "smoothing": SMOOTHING, **_earlier(arm)}
         return config
 
     def prepare(self, arm: Arm, work: Path) -> bool:
@@ -111,10 +137,12 @@ class ZeroShot(Experiment):
             fit_step("fit", "imitation", _DATASET, **{**self.policies, "seed": arm.seed}),
             self._executed({"model": "default"}),
         ]
-        if arm.options["labels"] == TRUE_LABELS:
+        if "context" in arm.options:
+            cloned = [*self._labelled(arm, results.parent / self.source), *cloned]
+        elif arm.options["labels"] == TRUE_LABELS:
             _label_truly(self._request, root)
         else:
-            cloned = [*self._labelled(arm, results.parent / self.source), *cloned]
+            _label_at_random(arm, root)
         return _outcome(run_pipeline(cloned, folder, on_progress))
 
     @property
@@ -157,7 +185,7 @@ class ZeroShot(Experiment):
         config = asdict(self.study.fit_config(network)) | {"lr": trials.chosen_lr(network, results)}
         return [
             fit_step("fit-labels", "segmentation", _DATASET, **config),
-            step("labels", "label", dataset=_DATASET, smoothing=SMOOTHING, min_kept=LEAST_SEGMENT),
+            step("labels", "label", dataset=_DATASET, smoothing=SMOOTHING, min_kept=LEAST_SEGMENT, **_earlier(arm)),
         ]
 
     def _executed(self, policy: JSON) -> Step:
@@ -179,6 +207,20 @@ class ZeroShot(Experiment):
 def _network(arm: Arm) -> Arm:
     """Returns the arm of the network that labels."""
     return Arm(arm.world, arm.options["labels"], {"context": arm.options["context"]}, arm.seed)
+
+
+def _earlier(arm: Arm) -> dict[str, int]:
+    moved = arm.options.get("moved")
+    return {"earlier": int(moved.removeprefix("earlier-"))} if moved else {}
+
+
+def _label_at_random(arm: Arm, root: Path) -> None:
+    """Labels each timestep by a random skill, where predicted labels lie: the dissertation's Random."""
+    skills, rng = tasks()[arm.world].spec.skills, np.random.default_rng(arm.seed)
+    with LabelsWriter(root, name=RANDOM_LABELS) as writer:
+        for index, length in enumerate(Dataset(root).lengths):
+            writer.save(index, rng.integers(len(skills), size=length))
+        writer.finish(LabelsInfo(skills, ModelRef(RANDOM_LABELS, "")))
 
 
 def _label_truly(request: DemonstrateRequest, root: Path) -> None:

@@ -308,7 +308,11 @@ def test_demonstrations_are_collected_fitted_labelled_and_the_labels_measured_on
         writer.save(0, np.zeros(999, np.int64))
     assert pipeline.do()
     assert pipeline.artifact("label.labels.json")["model"] == vars(labels.info(root).model)
-    assert len(labels.all_labels(root, Dataset(root).lengths)) == 6
+    found = labels.all_labels(root, Dataset(root).lengths)
+    assert len(found) == 6
+    assert new_run(tmp_path, "label", steps[2]["config"] | {"earlier": 2}, **addresses).do()
+    for before, after in zip(found, labels.all_labels(root, Dataset(root).lengths), strict=True):
+        np.testing.assert_array_equal(after, [*before[2:], *before[-1:], *before[-1:]])
 
     run = new_run(tmp_path, "evaluate", SEGMENTATION | {"min_kept": 2}, **addresses)
     result = finish_after_a_stop(run)

@@ -46,6 +46,11 @@ class LabelsInfo:
     model: ModelRef
 
 
+def moved(labels: npt.NDArray[np.int64], timesteps: int) -> npt.NDArray[np.int64]:
+    """Returns labels (T,) so many timesteps earlier; the last one stays until the end."""
+    return labels[np.minimum(np.arange(len(labels)) + timesteps, len(labels) - 1)]
+
+
 class LabelsWriter:
     """The only writer of a dataset's labels, of a name such as a run's; a context manager.
 

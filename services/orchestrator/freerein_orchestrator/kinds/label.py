@@ -11,7 +11,7 @@ from functools import partial
 from freerein.atomic_files import write_atomic
 from freerein.config import bounded, parse
 from freerein.data import Dataset, dataset_path
-from freerein.data.labels import LabelsInfo, LabelsWriter
+from freerein.data.labels import LabelsInfo, LabelsWriter, moved
 from freerein.data.lookup import choose_camera
 from freerein.types.common import ModelRef, Trajectory, check_name
 from freerein.types.segmentation import (
@@ -42,6 +42,8 @@ class LabelConfig:
             have no skill. 0 keeps all.
         min_kept: Shortest segment in timesteps that is kept, after merging; the timesteps of shorter ones are
             rejected: they have no skill. 0 and 1 keep all.
+        earlier: Timesteps by which labels are moved to the front: a network that sees nothing of the future names a
+            skill late. The last label stays until the end.
 
     Raises:
         InvalidInput: The dataset's name is invalid.
@@ -55,6 +57,7 @@ class LabelConfig:
     min_segment: int = bounded(0, least=0, most=1000)
     min_confidence: float = bounded(0.0, least=0.0, most=1.0)
     min_kept: int = bounded(0, least=0, most=1000)
+    earlier: int = bounded(0, least=0, most=1000)
 
     def __post_init__(self) -> None:
         check_name(self.dataset, field="config.dataset")
@@ -87,7 +90,7 @@ def run(context: RunContext, config: LabelConfig) -> None:
         for index in range(first, len(dataset)):
             request = _request(config, model, dataset[index], camera)
             answer: SegmentResponse = retry.call(partial(segmentation.segment, request))
-            writer.save(index, answer.labels)
+            writer.save(index, moved(answer.labels, config.earlier))
             write_atomic(path, json.dumps({"model": asdict(model.model), "labelled": index + 1}).encode())
             metrics.append(index + 1, _metrics(answer))
         writer.finish(LabelsInfo(model.skills, model.model))
