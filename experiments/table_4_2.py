@@ -78,7 +78,7 @@ def _random() -> Iterator[Step]:
 
 def _taught(arm: Arm) -> Iterator[Step]:
     yield distil(arm.method, arm.options[_TEXT], arm.seed)
-    yield from evaluations({"run": STUDENT})
+    yield from evaluations({"run": STUDENT}, in_scenes=(arm.method, arm.options[_TEXT]) == (OURS, "text"))
 
 
 EXPERIMENT = OnePolicy()

@@ -1,12 +1,13 @@
 """The table of one policy from many: its claims, and rows by conditioning, starting order, student and task."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from statistics import mean
 from typing import Any
 
-from experiments.chapter4.students import DISSERTATION, ORDERS, OURS, POINTS, RANDOM, RETURN
+from experiments.chapter4.students import DISSERTATION, LIGHTS, ORDERS, OURS, POINTS, RANDOM, RETURN, SCENES
 from experiments.chapter4.tasks import PARTS, TASK_SETS, TEST
 from experiments.teachers import SEEN, STARTS
 from experiments.workbench import claims
@@ -34,9 +35,13 @@ _DISSERTATION = {
 }
 """Table 4.2, in points."""
 
+_LEAST_IN_LIGHT = 70.0
+"""Of the return in the nominal light, in the worst of `LIGHTS`, per cent."""
+
 _ORDERED = f"{TEST}.{SEEN}"
 """Where conditionings are compared."""
 
+_BY_SCENE = "Ours told a text, in other scenes, of the nominal return, %"
 _BY_TASK = "Ours told a text, by task: mean of all seeds, % of the expert"
 
 Students = dict[tuple[str, str], list[ArmResult]]
@@ -56,6 +61,7 @@ def table(results: Sequence[ArmResult]) -> Table:
             Section(_header("points"), (*_dissertation(), *_rows(students, POINTS, 1)), "Points, of 100 timesteps"),
             Section(_header("% of the expert"), tuple(_rows_by_order(students)), "By the order at the start"),
             Section(_header("% of the expert"), tuple(map(_row_of_student, results)), "Every student"),
+            Section(("tasks", *SCENES), tuple(_rows_by_scene(students)), _BY_SCENE),
             Section(("task", *(f"{starts} starts, %" for starts in STARTS)), tuple(_rows_by_task(students)), _BY_TASK),
         ),
         claims=made,
@@ -80,11 +86,13 @@ def _claims(students: Students) -> Iterator[Claim]:
             yield _points_claim(method, how, part, arms)
     text = students.get((OURS, "text"), [])
     compared = [_difference(text, students.get((OURS, how), []), how) for how in ("code", "none")]
+    if text:
+        yield _light_claim(text)
     found = [each for each in compared if each is not None]
     yield from found
     if len(found) == len(compared):
         least = min(found, key=lambda claim: claim.value)
-        yield Claim(**{**vars(least), "claim": "conditioning_order", "met": all(each.met for each in found)})
+        yield replace(least, claim="conditioning_order", met=all(each.met for each in found))
 
 
 def _name(method: str, how: str, part: str) -> str:
@@ -128,6 +136,32 @@ def _points_claim(method: str, how: str, part: str, arms: Sequence[ArmResult]) -
     )
 
 
+def _light_claim(text: Sequence[ArmResult]) -> Claim:
+    """Returns the claim of the worst light, over the sets of tasks, in seen starts."""
+    values = {(tasks, light): _of_nominal(text, tasks, light) for tasks in TASK_SETS for light in LIGHTS}
+    tasks, light = min(values, key=lambda scene: values[scene])
+    shown, nominal = (_samples(text, f"{tasks}.{each}", RETURN) for each in (light, SEEN))
+    low, high = claims.ratio_interval(shown, nominal)
+    value = _PER_CENT * values[tasks, light]
+    made = claims.claim_of(
+        "policy_light",
+        text,
+        shown,
+        unit=_PER_CENT,
+        seeds=len(text),
+        target=_LEAST_IN_LIGHT,
+        met=len(text) == _SEEDS and value >= _LEAST_IN_LIGHT,
+        command=_COMMAND,
+    )
+    return replace(made, value=round(value, 3), low=round(_PER_CENT * low, 3), high=round(_PER_CENT * high, 3))
+
+
+def _of_nominal(text: Sequence[ArmResult], tasks: str, scene: str) -> float:
+    return claims.mean(_samples(text, f"{tasks}.{scene}", RETURN)) / claims.mean(
+        _samples(text, f"{tasks}.{SEEN}", RETURN)
+    )
+
+
 def _difference(text: Sequence[ArmResult], others: Sequence[ArmResult], how: str) -> Claim | None:
     """Returns by how much more a text is worth, in the same episodes, as a share of the expert's return."""
     seeds = {each.seed: each.samples[f"{_ORDERED}.{RETURN}"] for each in others}
@@ -167,6 +201,12 @@ def _rows_by_order(students: Students) -> Iterator[tuple[str, ...]]:
 def _row_of_student(result: ArmResult) -> tuple[str, ...]:
     cells = (_cell(_samples([result], part, RETURN), _PER_CENT) for part in PARTS)
     return result.method, result.options.get("conditioning", ""), f"seed {result.seed}", *cells
+
+
+def _rows_by_scene(students: Students) -> Iterator[tuple[str, ...]]:
+    text = students.get((OURS, "text"), [])
+    for tasks in TASK_SETS if text else ():
+        yield tasks, *(f"{_PER_CENT * _of_nominal(text, tasks, scene):.1f}" for scene in SCENES)
 
 
 def _rows_by_task(students: Students) -> Iterator[tuple[str, ...]]:

@@ -4,13 +4,13 @@
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
 from experiments.chapter4.tasks import PARTS, TASK_SETS
 from experiments.robustness.evaluated import evaluate
-from experiments.teachers import STARTS, TASKS
+from experiments.teachers import SEEN, STARTS, TASKS
 from experiments.workbench.pipelines import Step, Trials, step
 from experiments.workbench.results import Sample
 
@@ -22,7 +22,11 @@ ROLLOUTS = 50
 RETURN, POINTS = "return", "points"
 ORDERS: Mapping[str, bool] = MappingProxyType({"in-order": True, "wrong-order": False})
 _IN_ORDER = "start/in-order"
-_EPISODES, _MOST_ENVS = 50, 25
+LIGHTS = ("light-0.6", "light-0.8", "light-1.2", "light-1.4", "warm", "cool")
+SCENES = (*LIGHTS, "camera-5cm", "blocks-3")
+"""Conditions under which our students that are told a text are evaluated in all tasks, too."""
+
+_EPISODES, _EPISODES_OF_SCENE, _MOST_ENVS = 50, 10, 25
 
 _FITS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
@@ -65,27 +69,40 @@ def distil(method: str, conditioning: str, seed: int) -> Step:
 
 @dataclass(frozen=True)
 class _Cell:
-    """An evaluation: its part of the table, such as `train.seen`, its step, its task and where episodes begin."""
+    """An evaluation: its part of the table, such as `train.seen`, its step, its task, starts and conditions."""
 
     part: str
     step: str
     task: str
-    starts: str
+    starts: str = SEEN
+    conditions: Mapping[str, Any] = field(default_factory=dict)
+    episodes: int = _EPISODES
 
 
 _CELLS = tuple(
-    _Cell(f"{tasks}.{starts}", f"{tasks}-{starts}-{number}", task, starts)
+    _Cell(f"{tasks}.{starts}", f"{tasks}-{starts}-{number}", task, starts, conditions)
     for tasks, members in TASK_SETS.items()
-    for starts in STARTS
+    for starts, conditions in STARTS.items()
+    for number, task in enumerate(members)
+)
+_CELLS_OF_SCENES = tuple(
+    _Cell(
+        f"{tasks}.{scene}",
+        f"{tasks}-{scene.replace('.', '-')}-{number}",
+        task,
+        conditions={"conditions": [scene]},
+        episodes=_EPISODES_OF_SCENE,
+    )
+    for scene in SCENES
+    for tasks, members in TASK_SETS.items()
     for number, task in enumerate(members)
 )
 
 
-def evaluations(policy: Any, *, episodes: int = _EPISODES) -> Iterator[Step]:
-    """Yields the steps that evaluate a policy in every task, from both kinds of starts."""
-    for each in _CELLS:
-        conditions = STARTS[each.starts]
-        yield evaluate("returns", each.step, task=each.task, policy=policy, episodes=episodes, **conditions)
+def evaluations(policy: Any, *, in_scenes: bool = False) -> Iterator[Step]:
+    """Yields steps that evaluate a policy in every task, from both kinds of starts; and from seen ones in `SCENES`."""
+    for each in (*_CELLS, *(_CELLS_OF_SCENES if in_scenes else ())):
+        yield evaluate("returns", each.step, task=each.task, policy=policy, episodes=each.episodes, **each.conditions)
 
 
 def samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
@@ -98,6 +115,9 @@ def samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
         yield from _samples(part, episodes)
         for order, holds in ORDERS.items():
             yield from _samples(f"{part}.{order}", [each for each in episodes if each["starts"][_IN_ORDER] is holds])
+    for part in dict.fromkeys(each.part for each in _CELLS_OF_SCENES if each.step in trials):
+        episodes = [trial for each in _CELLS_OF_SCENES if each.part == part for trial in trials[each.step]]
+        yield f"{part}.{RETURN}", _share(episodes)
 
 
 def figures(trials: Trials) -> Iterator[tuple[str, float]]:
