@@ -71,7 +71,7 @@ def rows(table: bytes, delimiter: str) -> Iterator[tuple[int, list[str]]]:
         for cells in reader:
             if any(cell.strip() for cell in cells):
                 yield reader.line_num, cells
-    except (UnicodeDecodeError, csv.Error):
+    except (UnicodeDecodeError, csv.Error) as error:
         raise InvalidInput(
-            "The file must be CSV in UTF-8; it is not.", hint="Save it as CSV, separated by commas."
+            f"The file must be CSV in UTF-8; reading it failed: {error}.", hint="Save it as CSV, separated by commas."
         ) from None

@@ -209,7 +209,8 @@ def _check_data_file(
         raise InvalidInput("The file must be as it was written; it has changed since.")
     number = tasks.setdefault(row["tasks"][0], len(tasks))
     if not np.all(rows["task_index"].to_numpy() == number):
-        raise InvalidInput(f"The goal text must be number {number} of the dataset in every frame; it is not.")
+        found = sorted(set(rows["task_index"].to_pylist()))
+        raise InvalidInput(f"The goal text must be number {number} of the dataset in every frame; got {found[:5]}.")
     return row
 
 

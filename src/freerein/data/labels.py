@@ -110,7 +110,7 @@ def info(root: Path) -> LabelsInfo:
         model = ModelRef(str(document["model"]["name"]), str(document["model"]["version"]))
         return LabelsInfo(tuple(str(skill) for skill in document["skills"]), model)
     except (ValueError, KeyError, TypeError) as error:
-        sentence = "The description of a dataset's labels must be JSON of ours; it is not."
+        sentence = f"`{_INFO}` must have `skills` and a `model`, as it was written; reading it failed: {error!r}."
         raise InvalidInput(sentence, hint=_HINT) from error
 
 

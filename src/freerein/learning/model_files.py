@@ -16,7 +16,7 @@ from torch.overrides import TorchFunctionMode
 
 from freerein.atomic_files import write_atomic
 from freerein.config import C, parse
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, quoted
 from freerein.learning import tensor_files
 from freerein.learning.checkpoints import JSON
 
@@ -94,7 +94,7 @@ def read_card(folder: Path, *, names: ModelFileNames = MODEL) -> dict[str, Any]:
             raise ValueError("too large")
         return dict(json.loads(path.read_bytes()))
     except (OSError, ValueError, RecursionError, TypeError) as error:
-        raise _no_card() from error
+        raise _no_card(error) from error
 
 
 def choose_device(device: str) -> torch.device:
@@ -131,11 +131,11 @@ def _spec(card: Mapping[str, Any], spec_class: type[C]) -> C:
     try:
         return parse(spec_class, card["spec"])
     except (ValueError, KeyError, TypeError) as error:
-        raise _no_card() from error
+        raise _no_card(error) from error
 
 
-def _no_card() -> InvalidInput:
+def _no_card(error: Exception) -> InvalidInput:
     return InvalidInput(
-        f"A model's card must be JSON of at most {_MAX_CARD_BYTES} bytes with a `spec`; it is not.",
+        f"A model's card must be JSON of at most {_MAX_CARD_BYTES} bytes with a `spec`; got {quoted(repr(error))}.",
         hint="Fit the model again, or restore its folder from a copy.",
     )

@@ -63,8 +63,10 @@ def unpack(data: bytes) -> dict[str, Any]:
         raise MalformedRequest(
             "A message must be one whole msgpack value; it could not be parsed.", hint=_HINT
         ) from None
-    if not isinstance(message, dict) or not all(isinstance(key, str) for key in message):
-        raise InvalidInput("A message must be a map whose keys are texts; it is not.", hint=_HINT)
+    if not isinstance(message, dict):
+        raise InvalidInput(f"A message must be a map; got {type(message).__name__}.", hint=_HINT)
+    if others := {type(key).__name__ for key in message if not isinstance(key, str)}:
+        raise InvalidInput(f"The keys of a message must be texts; got {', '.join(sorted(others))}.", hint=_HINT)
     return message
 
 

@@ -74,7 +74,7 @@ class RewardStreamService:
         hello = request.hello
         if hello is None or request.frame is not None:
             raise FailedPrecondition(
-                "The first message of a stream must be a Hello, and nothing else; it is not.",
+                "The first message of a stream must be a Hello, and nothing else; got a frame, or nothing.",
                 field="hello",
                 hint="Send a Hello first: model and goal text.",
             )

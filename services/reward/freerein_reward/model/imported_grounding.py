@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, quoted
 from freerein.goal_text import GoalText, Grammar, Words
 from freerein.learning import tensor_files
 from freerein.learning.model_files import choose_device
@@ -134,19 +134,19 @@ def load_imported(folder: Path, card: Mapping[str, Any], device: str) -> Importe
     layout, place = str(card.get("layout")), str(card.get("place"))
     heat, vocabulary = card.get("presence_heat"), card.get("vocabulary")
     if layout not in LAYOUTS or place not in PLACES or not isinstance(heat, float) or not isinstance(vocabulary, list):
-        raise _damaged("card.json")
+        raise _damaged("card.json", f"layout {layout}, place {place}")
     model = LAYOUTS[layout](folder, choose_device(device))
     try:
         kept = tensor_files.parse((folder / KNOWN_PHRASES).read_bytes())
         score = KnownPhrases(tuple(map(str, vocabulary)), model.dimension, references=len(kept["images"]))
         score.load_state_dict(kept)
-    except (OSError, KeyError, RuntimeError):
-        raise _damaged(KNOWN_PHRASES) from None
+    except (OSError, KeyError, RuntimeError) as error:
+        raise _damaged(KNOWN_PHRASES, repr(error)) from None
     return ImportedGrounding(model, Calibration(score.to(model.device), heat), place=place)
 
 
-def _damaged(name: str) -> InvalidInput:
+def _damaged(name: str, got: str) -> InvalidInput:
     return InvalidInput(
-        f"An imported model's {name} must be as the import wrote it; it is not.",
+        f"An imported model's {name} must be as the import wrote it; got {quoted(got)}.",
         hint="Import the model again, or restore its folder from a copy.",
     )

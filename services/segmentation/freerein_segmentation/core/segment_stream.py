@@ -72,7 +72,7 @@ class SegmentStreamService:
             raise request.error
         if request.hello is None or request.timesteps is not None:
             raise FailedPrecondition(
-                "The first message of a stream must be a Hello, and nothing else; it is not.",
+                "The first message of a stream must be a Hello, and nothing else; got timesteps, or nothing.",
                 field="hello",
                 hint="Send a Hello first: model and options.",
             )

@@ -94,5 +94,9 @@ def load_in_distribution(folder: Path, *, cameras: Sequence[Camera]) -> InDistri
     try:
         score.load_state_dict(tensor_files.parse(path.read_bytes()))
     except RuntimeError as error:
-        raise InvalidInput("A policy's in-distribution score must be of its camera; it is not.") from error
+        names = ", ".join(each.name for each in cameras)
+        raise InvalidInput(
+            f"`{IN_DISTRIBUTION_FILE}` must be of the policy's cameras, {names}; its tensors have other shapes.",
+            hint="Restore the policy's folder from a copy.",
+        ) from error
     return score

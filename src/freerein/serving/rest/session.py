@@ -67,16 +67,20 @@ async def _given_token(request: Request) -> str:
         )
     try:
         document = orjson.loads(await request.body())
-    except orjson.JSONDecodeError:
-        raise MalformedRequest("The body must be JSON; it is not.", hint='Send {"token": "..."}.') from None
+    except orjson.JSONDecodeError as error:
+        raise MalformedRequest(f"The body must be JSON; {error}.", hint='Send {"token": "..."}.') from None
     token = document.get("token") if isinstance(document, dict) else None
     if not isinstance(token, str) or set(document) != {"token"}:
         raise InvalidInput(
-            "The body must be an object with the text `token` alone; it is not.",
+            f"The body must be an object with the text `token` alone; got {_described(document)}.",
             field="token",
             hint='Send {"token": "..."}.',
         )
     return token
+
+
+def _described(document: Any) -> str:
+    return f"the keys {quoted(', '.join(document))}" if isinstance(document, dict) else type(document).__name__
 
 
 def _attributes(request: Request) -> dict[str, Any]:

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freerein.errors import InvalidInput, Unimplemented
+from freerein.errors import InvalidInput, Unimplemented, quoted
 from freerein.goal_text import words
 from freerein_reward.model.dual_encoder_model import preprocess
 from freerein_reward.model.vision_language.interface import TracedMaps
@@ -199,7 +199,7 @@ def _statistics(folder: Path, kind: str) -> tuple[Sequence[float], Sequence[floa
         isinstance(each, list | tuple) and len(each) == 3 and all(_is_number(x) for x in each) for each in given
     ):
         raise InvalidInput(
-            f"`image_mean` and `image_std` of {PREPROCESSOR} must be three numbers each; they are not.",
+            f"`image_mean` and `image_std` of {PREPROCESSOR} must be three numbers each; got {quoted(str(given))}.",
             field="source",
             hint="Copy the file from where the model is from.",
         )
