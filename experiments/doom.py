@@ -5,12 +5,13 @@ of curiosity, as in the dissertation. An arm fits its policy to the data of one 
 in the training map and in the one that chooses between configurations, A with textures V1.
 """
 
+import json
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from experiments.robustness.evaluated import evaluate
@@ -20,13 +21,20 @@ from experiments.workbench.cache_paths import cache_path
 from experiments.workbench.claims import Claim
 from experiments.workbench.configs import Config
 from experiments.workbench.locks import locked
-from experiments.workbench.pipelines import Step, fit_step, run_pipeline, step
+from experiments.workbench.pipelines import Step, run_pipeline, step
 from experiments.workbench.plots import interval_plot
 from experiments.workbench.results import ArmResult, Outcome, Sample
 from experiments.workbench.table import Picture, Section, Table, words
+from freerein.learning.model_files import MODEL, read_card
+from freerein.model_store import ModelStore
+from freerein.types.common import ModelRef
 
 RANDOM_SEARCH = "random_search"
 _CONSISTENT = {"forward_consistency_weight": 0.1}
+_VARIANTS = ("gsp_pixels", "gsp_one_step", "gsp_stop", "gsp_pretrained")
+"""Rows that are fitted for fewer steps."""
+
+_SIDE_ROWS = ("inverse_model", "gsp_no_previous_action", "gsp_regularised", *_VARIANTS)
 ROWS: Mapping[str, Mapping[str, Any]] = {
     "inverse_model": {"method": "inverse_model"},
     "gsp_no_previous_action": {"use_previous_action": False},
@@ -46,12 +54,26 @@ ROWS: Mapping[str, Mapping[str, Any]] = {
 }
 """What each row's fit has beside what all have."""
 
-ACTING: Mapping[str, Mapping[str, Any]] = {"greedy": {}, "sampled": {"temperature": 1.0}}
+SEEDS: Mapping[str, Mapping[str, int]] = {
+    "curiosity": {"gsp_features": 4, "gsp_no_consistency": 4, **dict.fromkeys(_SIDE_ROWS, 1)},
+    "random": {"gsp_features": 3, "inverse_model": 1},
+}
+"""Number of fits of each row to the data of each exploration; those of 4 are paired, for what consistency brings."""
+
+GREEDY, SAMPLED = ACTING = "greedy", "sampled"
 SETTINGS: Mapping[str, str] = {"a": "doom", "v1": "doom.v1"}
 """Tasks in which demonstrations are followed. Those of the tests, V2 and B, are not among them."""
 
-_WORLD, _VERSION, _STEPS, _TRAJECTORIES, _EPISODES, _PER_CENT = "doom", 1, 10_000, 714, 250, 100
-_RECOGNIZER = "recognizer"
+_WORLD, _VERSION, _STEPS, _STEPS_OF_VARIANTS, _TRAJECTORIES, _EPISODES, _PER_CENT = (
+    "doom",
+    2,
+    10_000,
+    4_000,
+    714,
+    250,
+    100,
+)
+_RECOGNIZER, _POLICY = "recognizer", "policy"
 _FIXED_ROOM = {"conditions": ["start-room-10"]}
 _DATA: Mapping[str, Sequence[Mapping[str, Any]]] = {
     "curiosity": (
@@ -72,17 +94,26 @@ _CURIOSITY = {
     "gamma": 0.99,
     "ent_coef": 0.01,
 }
-_HEADER = ("row", "data", "acts", "seed", *(f"completion in {name.upper()}, %" for name in SETTINGS), "minutes")
+_HEADER = (
+    "row",
+    "data",
+    "seed",
+    *(f"completion in {name.upper()}, {acting}, %" for name in SETTINGS for acting in ACTING),
+    "minutes",
+)
 
 
 class Doom(Experiment):
-    """An arm for each row, exploration and way of acting, each with one seed; random search has no fit."""
+    """An arm for each row, exploration and seed; random search has no fit."""
 
     @property
     def arms(self) -> tuple[Arm, ...]:
-        """The arms, row after row."""
-        options = product(ROWS, _DATA, ACTING)
-        fits = (Arm(_WORLD, row, {"data": data, "acting": acting}) for row, data, acting in options)
+        """Random search, then all fits of a seed before those of the next."""
+        rows = [(data, row, seeds) for data, rows in SEEDS.items() for row, seeds in rows.items()]
+        most = max(seeds for _, _, seeds in rows)
+        fits = (
+            Arm(_WORLD, row, {"data": data}, seed) for seed in range(most) for data, row, seeds in rows if seed < seeds
+        )
         return (Arm(_WORLD, RANDOM_SEARCH), *fits)
 
     def config(self, arm: Arm) -> Config:
@@ -100,12 +131,19 @@ class Doom(Experiment):
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
     ) -> Outcome | None:
-        """Fits a policy, and has it follow demonstrations; see `Experiment`."""
-        if arm.method != RANDOM_SEARCH:
+        """Fits a policy, and has it follow demonstrations by its likeliest actions, and by drawn ones."""
+        is_fitted = arm.method != RANDOM_SEARCH
+        if is_fitted:
             for part in ("datasets", "models"):
                 _link(_shared_folder(work) / "data" / part, folder / "data" / part)
         trials = run_pipeline(steps(arm), folder, on_progress)
-        return None if trials is None else Outcome({}, {name: _completions(trials[name]) for name in SETTINGS})
+        found = {} if trials is None else {GREEDY: trials}
+        if is_fitted and trials is not None:
+            publish_sampled(folder / "data", folder / SAMPLED / "data")
+            drawn = run_pipeline([*_evaluations({"model": _POLICY})], folder / SAMPLED, on_progress)
+            found = {} if drawn is None else found | {SAMPLED: drawn}
+        samples = {f"{acting}.{name}": _completions(each[name]) for acting, each in found.items() for name in SETTINGS}
+        return Outcome({}, samples) if samples else None
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns a row for each arm that has a result, and the claims."""
@@ -137,9 +175,24 @@ def steps(arm: Arm) -> list[Step]:
         return [*_evaluations("random")]
     row = ROWS[arm.method]
     named = {} if row.get("stop") else {"recognizer": _RECOGNIZER}
-    common = {"method": "goal_conditioned", "encoder": "convolutional", "steps": _STEPS, "seed": arm.seed}
-    config = {**common, **named, **ACTING[arm.options["acting"]], **row}
-    return [fit_step("policy", "imitation", arm.options["data"], **config), *_evaluations({"run": "policy"})]
+    count = _STEPS_OF_VARIANTS if arm.method in _VARIANTS else _STEPS
+    common = {"method": "goal_conditioned", "encoder": "convolutional", "steps": count, "seed": arm.seed}
+    config = {**common, **named, **row}
+    fit = step(_POLICY, "fit", service="imitation", dataset=arm.options["data"], model_name=_POLICY, config=config)
+    return [fit, *_evaluations({"model": _POLICY})]
+
+
+def publish_sampled(fitted: Path, data_dir: Path) -> None:
+    """Publishes the policy of one data directory in another, with a card that says that its actions are drawn."""
+    made = ModelStore(fitted / "models" / "imitation")
+    source = made.folder(ModelRef(_POLICY, made.active_version(_POLICY)))
+    with TemporaryDirectory(dir=fitted) as staging:
+        copy, card = Path(staging) / _POLICY, read_card(source)
+        copy.mkdir()
+        shutil.copyfile(source / MODEL.weights, copy / MODEL.weights)
+        (copy / MODEL.card).write_text(json.dumps({**card, "spec": {**card["spec"], "temperature": 1.0}}))
+        store = ModelStore(data_dir / "models" / "imitation")
+        store.activate(store.publish(_POLICY, copy))
 
 
 def _evaluations(policy: object) -> Iterator[Step]:
@@ -167,22 +220,28 @@ def _completions(trials: Sequence[Mapping[str, Any]]) -> Sample:
 
 
 def _cells(result: ArmResult) -> tuple[str, ...]:
-    shown = []
-    for name in SETTINGS:
-        sample = result.samples[name]
-        low, high = claims.interval([sample])
-        shown.append(f"{_PER_CENT * sample.mean:.1f} [{_PER_CENT * low:.1f}, {_PER_CENT * high:.1f}]")
-    options = [result.options.get(name, "") for name in ("data", "acting")]
-    return result.method, *options, str(result.seed), *shown, f"{result.minutes:.0f}"
+    shown = (_cell(result.samples.get(f"{acting}.{name}")) for name in SETTINGS for acting in ACTING)
+    return result.method, result.options.get("data", ""), str(result.seed), *shown, f"{result.minutes:.0f}"
+
+
+def _cell(sample: Sample | None) -> str:
+    if sample is None:
+        return ""
+    low, high = claims.interval([sample])
+    return f"{_PER_CENT * sample.mean:.1f} [{_PER_CENT * low:.1f}, {_PER_CENT * high:.1f}]"
 
 
 def _claims(results: Sequence[ArmResult]) -> Iterator[Claim]:
-    """Yields the mean completion of each arm in each setting; none has a target yet."""
-    more: dict[str, Any] = {"unit": _PER_CENT, "seeds": 1, "command": "python -m experiments run doom"}
-    for arm in results:
-        for name in SETTINGS:
-            claim = "_".join([arm.method, *arm.options.values(), name])
-            yield claims.claim_of(f"doom_{claim}", [arm], [arm.samples[name]], target=None, met=None, **more)
+    """Yields the mean completion of each row by exploration, setting and way of acting; none has a target yet."""
+    rows: dict[tuple[str, ...], list[ArmResult]] = {}
+    for result in results:
+        rows.setdefault((result.method, *result.options.values()), []).append(result)
+    more: dict[str, Any] = {"unit": _PER_CENT, "command": "python -m experiments run doom"}
+    for row, arms in rows.items():
+        for name in arms[0].samples:
+            samples = [arm.samples[name] for arm in arms]
+            claim = "_".join(["doom", *row, *name.split(".")])
+            yield claims.claim_of(claim, arms, samples, target=None, met=None, seeds=len(arms), **more)
 
 
 EXPERIMENT = Doom()

@@ -13,9 +13,9 @@ from freerein.config import parse
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.learning import weights
 from freerein.learning.fit_dataset import FitDataset
-from freerein.learning.model_files import save_model
+from freerein.learning.model_files import MODEL, read_card, save_model
 from freerein.model_store import ModelStore
-from freerein.types.common import Camera, Trajectory
+from freerein.types.common import Camera, ModelRef, Trajectory
 from freerein_imitation.methods import METHODS
 from freerein_imitation.methods.shared.goal_images.recognizer import GoalRecognizerNetwork, GoalRecognizerSpec
 from freerein_imitation.model.policy import ControlSpec
@@ -73,3 +73,18 @@ def test_every_row_is_a_fit(data_dir: Path, row: str) -> None:
         state, losses = learner.update(state, np.arange(2))
         assert all(map(np.isfinite, losses.values()))
     assert (learner.stored is None) == (row == "gsp_stop")
+
+
+def test_a_policy_that_draws_its_actions_has_the_same_weights_and_another_card(tmp_path: Path) -> None:
+    made, fitted, drawn = tmp_path / "made", tmp_path / "fitted", tmp_path / "drawn"
+    made.mkdir()
+    (made / MODEL.card).write_text('{"method": "goal_conditioned", "spec": {"temperature": 0.0}}')
+    (made / MODEL.weights).write_bytes(b"weights")
+    store = ModelStore(fitted / "models" / "imitation")
+    store.activate(store.publish("policy", made))
+    for _ in range(2):  # an arm that was stopped publishes again
+        doom.publish_sampled(fitted, drawn)
+    store = ModelStore(drawn / "models" / "imitation")
+    folder = store.folder(ModelRef("policy", store.active_version("policy")))
+    assert read_card(folder)["spec"] == {"temperature": 1.0}
+    assert (folder / MODEL.weights).read_bytes() == b"weights"
