@@ -6,7 +6,6 @@ in the training map and in the one that chooses between configurations, A with t
 """
 
 import json
-import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -21,7 +20,7 @@ from experiments.workbench.cache_paths import cache_path
 from experiments.workbench.claims import Claim
 from experiments.workbench.configs import Config
 from experiments.workbench.locks import locked
-from experiments.workbench.pipelines import Step, run_pipeline, step
+from experiments.workbench.pipelines import Step, link_folder, run_pipeline, step
 from experiments.workbench.plots import interval_plot
 from experiments.workbench.results import ArmResult, Outcome, Sample
 from experiments.workbench.table import Picture, Section, Table, words
@@ -135,7 +134,7 @@ class Doom(Experiment):
         is_fitted = arm.method != RANDOM_SEARCH
         if is_fitted:
             for part in ("datasets", "models"):
-                _link(_shared_folder(work) / "data" / part, folder / "data" / part)
+                link_folder(_shared_folder(work) / "data" / part, folder / "data" / part)
         trials = run_pipeline(steps(arm), folder, on_progress)
         found = {} if trials is None else {GREEDY: trials}
         if is_fitted and trials is not None:
@@ -204,15 +203,6 @@ def _evaluations(policy: object) -> Iterator[Step]:
 def _shared_folder(work: Path) -> Path:
     made_by = {"steps": shared_steps(), "version": _VERSION, "world_version": world_version(_WORLD)}
     return cache_path(work / "doom", made_by, prefix="shared-")
-
-
-def _link(source: Path, target: Path) -> None:
-    """Copies a folder as hard links, unless it is there; a copy that was cut short is made again."""
-    if not target.exists():
-        part = target.with_name(f".{target.name}.part")
-        shutil.rmtree(part, ignore_errors=True)
-        shutil.copytree(source, part, copy_function=os.link)
-        part.rename(target)
 
 
 def _completions(trials: Sequence[Mapping[str, Any]]) -> Sample:

@@ -14,16 +14,18 @@ from experiments.chapter4.students import (
     DISSERTATION,
     OURS,
     RANDOM,
+    SCENES,
     STUDENT,
     distil,
     evaluations,
+    evaluations_in,
     figures,
     samples,
 )
 from experiments.chapter4.unseen_colour import check_unseen, scanned
 from experiments.workbench.arms import Arm, Experiment
 from experiments.workbench.configs import Config
-from experiments.workbench.pipelines import Step, run_pipeline
+from experiments.workbench.pipelines import Step, link_folder, run_pipeline
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.data import dataset_path
@@ -47,7 +49,8 @@ class OnePolicy(Experiment):
     def config(self, arm: Arm) -> Config:
         """Returns the teachers of a student, and the steps of the arm's pipeline."""
         teachers = () if arm.method == RANDOM else shipped_teachers()
-        return {"version": _VERSION, "teachers": list(teachers), "steps": list(_steps(arm))}
+        steps = {"steps": list(_steps(arm)), "scenes": list(_scenes(arm))}
+        return {"version": _VERSION, "teachers": list(teachers), **steps}
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
@@ -60,6 +63,12 @@ class OnePolicy(Experiment):
         if is_taught:
             check_unseen(dataset_path(folder / "data", DATASET), folder)
         shutil.rmtree(folder / "data" / "datasets", ignore_errors=True)
+        for scene in _scenes(arm):
+            link_folder(folder / "data" / "models", folder / scene / "data" / "models")
+            shown = run_pipeline([*evaluations_in(scene)], folder / scene, on_progress)
+            if shown is None:
+                return None
+            trials = {**trials, **shown}
         found = {f"scanned.{name}": value for name, value in scanned(folder).items()} if is_taught else {}
         return Outcome(dict(figures(trials)) | found, dict(samples(trials)))
 
@@ -78,7 +87,11 @@ def _random() -> Iterator[Step]:
 
 def _taught(arm: Arm) -> Iterator[Step]:
     yield distil(arm.method, arm.options[_TEXT], arm.seed)
-    yield from evaluations({"run": STUDENT}, in_scenes=(arm.method, arm.options[_TEXT]) == (OURS, "text"))
+    yield from evaluations({"run": STUDENT})
+
+
+def _scenes(arm: Arm) -> tuple[str, ...]:
+    return SCENES if (arm.method, arm.options.get(_TEXT)) == (OURS, "text") else ()
 
 
 EXPERIMENT = OnePolicy()

@@ -5,6 +5,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -15,7 +16,7 @@ from experiments.workbench.pipelines import Step, Trials, step
 from experiments.workbench.results import Sample
 
 OURS, DISSERTATION, RANDOM = "ours", "dissertation", "random"
-DATASET, STUDENT = "rollouts", "student"
+DATASET, STUDENT, _MODEL = "rollouts", "student", "student"
 ROLLOUTS = 50
 """Of each teacher's task, in all iterations together."""
 
@@ -62,6 +63,7 @@ def distil(method: str, conditioning: str, seed: int) -> Step:
         dagger_iterations=iterations - 1,
         num_envs=min(_MOST_ENVS, rollouts),
         dataset=DATASET,
+        model_name=_MODEL,
         seed=seed,
         config={**_FITS[method], "conditioning": conditioning, "reached_weight": 0.0, "seed": seed},
     )
@@ -99,10 +101,19 @@ _CELLS_OF_SCENES = tuple(
 )
 
 
-def evaluations(policy: Any, *, in_scenes: bool = False) -> Iterator[Step]:
-    """Yields steps that evaluate a policy in every task, from both kinds of starts; and from seen ones in `SCENES`."""
-    for each in (*_CELLS, *(_CELLS_OF_SCENES if in_scenes else ())):
-        yield evaluate("returns", each.step, task=each.task, policy=policy, episodes=each.episodes, **each.conditions)
+def evaluations(policy: Any) -> Iterator[Step]:
+    """Yields the steps that evaluate a policy in every task, from both kinds of starts."""
+    return map(partial(_evaluation, policy), _CELLS)
+
+
+def evaluations_in(scene: str) -> Iterator[Step]:
+    """Yields the steps that evaluate the student that was stored last in every task, from seen starts in a scene."""
+    cells = (each for each in _CELLS_OF_SCENES if each.conditions["conditions"] == [scene])
+    return map(partial(_evaluation, {"model": _MODEL}), cells)
+
+
+def _evaluation(policy: Any, cell: _Cell) -> Step:
+    return evaluate("returns", cell.step, task=cell.task, policy=policy, episodes=cell.episodes, **cell.conditions)
 
 
 def samples(trials: Trials) -> Iterator[tuple[str, Sample]]:

@@ -81,6 +81,15 @@ def run_folder(folder: Path) -> Path:
     return folder / "data" / "runs" / id_of(_NAME)
 
 
+def link_folder(source: Path, target: Path) -> None:
+    """Copies a folder as hard links, unless it is there; a copy that was cut short is made again."""
+    if not target.exists():
+        part = target.with_name(f".{target.name}.part")
+        shutil.rmtree(part, ignore_errors=True)
+        shutil.copytree(source, part, copy_function=os.link)
+        part.rename(target)
+
+
 async def _run_to_its_end(
     config: dict[str, Any],
     data: Path,

@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Mapping
 from contextlib import closing
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,10 @@ from experiments.workbench.pipelines import run_folder
 from experiments.workbench.results import ArmResult, Sample
 from experiments.workbench.runner import Places, arm_folder
 
+from freerein.api.orchestrator.v1 import orchestrator_pb2
 from freerein.data import DatasetSpec, create
 from freerein.errors import FailedPrecondition
+from freerein.field_bounds import bounds_of, check_json_bytes
 from freerein.learning.actor_critic.policy_files import IN_DISTRIBUTION_FILE
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ActionSpec, Trajectory
@@ -39,9 +42,11 @@ PIPELINES = ("table_4_2", "fig_4_4", "fig_4_6")
 @pytest.mark.parametrize("name", PIPELINES)
 def test_the_orchestrator_takes_the_pipeline_of_every_arm_and_evaluates_on_seeds_of_no_training(name: str) -> None:
     experiment: Any = registry.load(name)
+    longest = bounds_of(orchestrator_pb2.StartRunRequest.DESCRIPTOR.fields_by_name["config"])
     for arm in experiment.arms:
         steps = experiment.config(arm)["steps"]
         KINDS["pipeline"].parse({"steps": steps})
+        check_json_bytes({"steps": steps}, longest, "config")
         held_out = {step["config"]["seed"] for step in steps if step["kind"] == "evaluate"}
         assert held_out
         assert arm.seed not in held_out
@@ -105,12 +110,13 @@ def test_gray_walls_and_other_colours_are_not_blue() -> None:
 def student(method: str, how: str, seed: int, share: float) -> ArmResult:
     """Returns the result of a student that earns a share of the expert's 80 points."""
     options = {"conditioning": how} if how else {}
+    scenes = students.SCENES if (method, how) == ("ours", "text") else ()
     trials = {
         each["name"]: [
             {"episode_return": 80 * share + place, "expert_return": 80.0, "starts": {"start/in-order": place % 2 == 0}}
             for place in range(4)
         ]
-        for each in students.evaluations("random", in_scenes=(method, how) == ("ours", "text"))
+        for each in (*students.evaluations("random"), *chain.from_iterable(map(students.evaluations_in, scenes)))
     }
     for dark in (name for name in trials if "light-0-6" in name):
         trials[dark] = [{**trial, "episode_return": 0.6 * trial["episode_return"]} for trial in trials[dark]]
