@@ -12,7 +12,7 @@ from experiments.chapter4.puck_scenes import CAMERAS, PHRASES, Asked, PuckScenes
 from experiments.robustness.confidence import by_trial
 from experiments.robustness.draw import Drawn, dataset_path, open_or_draw
 from experiments.robustness.fits import fit_once
-from experiments.robustness.reward import grounding_version, open_grounding
+from experiments.robustness.reward_model import grounding_version, open_grounding
 from experiments.workbench import claims
 from experiments.workbench.arms import Arm, Experiment
 from experiments.workbench.claims import Claim

@@ -10,7 +10,7 @@ from experiments.chapter4.places_in_frames import Found, find_blocks
 from experiments.robustness import scenes
 from experiments.robustness.confidence import by_trial
 from experiments.robustness.draw import Scenes, open_or_draw
-from experiments.robustness.reward import COLOURS, PHRASES, grounding_version
+from experiments.robustness.reward_model import COLOURS, PHRASES, grounding_version
 from experiments.robustness.worlds import NOMINAL, SCATTERED
 from experiments.workbench import claims
 from experiments.workbench.arms import Arm, Experiment

@@ -12,7 +12,7 @@ import torch
 from experiments.chapter4.trained_on import PLACE, PUSH, PUSH_TEXT, STACK
 from experiments.robustness import wordings
 from experiments.robustness.confidence import auroc
-from experiments.robustness.reward import grounding_version, open_grounding
+from experiments.robustness.reward_model import grounding_version, open_grounding
 from experiments.robustness.worlds import CAMERA, open_world
 from experiments.workbench import claims
 from experiments.workbench.arms import Arm, Experiment

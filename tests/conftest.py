@@ -228,7 +228,7 @@ def run_badly() -> Callable[..., tuple[int, str]]:
 
 @pytest.fixture(scope="session")
 def run_child() -> Callable[..., tuple[int, str]]:
-    """A function that runs the child process of a job, such as `run_child("freerein_reward.fit", FOLDER, ...)`.
+    """A function that runs the child process of a job, such as `run_child("freerein_reward.fit_child", FOLDER, ...)`.
 
     It returns its exit code and its standard error.
     """

@@ -21,7 +21,7 @@ _MODULES = (
     *(
         f"freerein_{service}.{module}"
         for service in ("segmentation", "imitation", "reward")
-        for module in ("__main__", "fit")
+        for module in ("__main__", "fit_child")
     ),
     "freerein_sim.__main__",
 )

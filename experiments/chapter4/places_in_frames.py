@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.robustness.draw import Drawn
-from experiments.robustness.reward import COLOURS, PHRASES, open_grounding
+from experiments.robustness.reward_model import COLOURS, PHRASES, open_grounding
 from experiments.robustness.worlds import CAMERA, SCATTERED
 from freerein_reward.model.grounding import PhraseLocations
 from freerein_sim.worlds.blocks.scene import CAMERAS

@@ -14,7 +14,7 @@ import torch
 from experiments.robustness import scenes, unfamiliar
 from experiments.robustness.draw import Drawn, dataset_path, open_or_draw
 from experiments.robustness.fits import fit_once
-from experiments.robustness.reward import EPSILON, PHRASES, TRAINING, grounding_version, open_grounding
+from experiments.robustness.reward_model import EPSILON, PHRASES, TRAINING, grounding_version, open_grounding
 from experiments.robustness.scenes import Judged
 from experiments.robustness.worlds import CAMERA
 from experiments.workbench.results import Outcome, Sample

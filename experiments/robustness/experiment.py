@@ -13,7 +13,7 @@ from experiments.robustness import (
     language,
     policies,
     report,
-    reward,
+    reward_model,
     scenes,
     segmentation,
     speed,
@@ -107,14 +107,14 @@ class RobustnessExperiment(Experiment):
             return config | {"steps": list(policies.METHODS[arm.method].steps(arm))}
         if arm.method == criteria.METHOD:
             fit, test = criteria.fit_config(seed=arm.seed), list(unfamiliar.scene_specs().values())
-            more = {"training": reward.TRAINING, "grounding": reward.grounding_version()}
+            more = {"training": reward_model.TRAINING, "grounding": reward_model.grounding_version()}
             return config | more | {"fit": fit, "test": test}
         if _segments(arm):
             config |= {"fit": _segmentation_config(arm), "training": segmentation.TRAINING}
         if _rewards(arm):
-            config |= {"fit": _reward_config(arm), "training": reward.TRAINING}
+            config |= {"fit": _reward_config(arm), "training": reward_model.TRAINING}
         if _rewards(arm) or arm.method == "captions":
-            config["grounding"] = reward.grounding_version()
+            config["grounding"] = reward_model.grounding_version()
         if arm.method == UNFAMILIAR:
             config["effects"] = list(unfamiliar.EFFECTS)
         if arm.world == DEMONSTRATED:
@@ -130,7 +130,7 @@ class RobustnessExperiment(Experiment):
         if arm.method in (*policies.METHODS, policies.PPO_SPEED, goal_texts.TEXTS):
             return True
         specs = (segmentation.TRAINING, *segmentation.test_specs().values())
-        more: tuple[Spec, ...] = (reward.TRAINING, *unfamiliar.scene_specs().values())
+        more: tuple[Spec, ...] = (reward_model.TRAINING, *unfamiliar.scene_specs().values())
         for spec in (*specs, *more):
             open_or_draw(spec, work)
         return True
@@ -158,7 +158,7 @@ class RobustnessExperiment(Experiment):
         if arm.method == criteria.METHOD:
             of_criteria = criteria.fit_model(criteria.fit_config(seed=arm.seed), work, on_progress)
             return None if of_criteria is None else criteria.evaluate(of_criteria, work)
-        model = reward.fit_model(_reward_config(arm), work, on_progress)
+        model = reward_model.fit_model(_reward_config(arm), work, on_progress)
         return None if model is None else self._judge(model, arm, work)
 
     def _judge(self, model: DualEncoderModel, arm: Arm, work: Path) -> Outcome:
@@ -198,7 +198,7 @@ def _segmentation_config(arm: Arm) -> SegmentationConfig:
 
 
 def _reward_config(arm: Arm) -> RewardConfig:
-    return reward.fit_config(augmentation=_augmentation(arm), seed=arm.seed)
+    return reward_model.fit_config(augmentation=_augmentation(arm), seed=arm.seed)
 
 
 def _augmentation(arm: Arm) -> float:

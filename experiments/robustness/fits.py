@@ -13,10 +13,10 @@ from experiments.workbench.cache_paths import cache_path
 from experiments.workbench.locks import locked
 from freerein.learning import model_files
 from freerein.learning.checkpoints import JSON
-from freerein.learning.fit import FitResult, fit_and_save
 from freerein.learning.fit_config import FitConfig
 from freerein.learning.learner import Learner
 from freerein.learning.train_state import N
+from freerein.learning.training_loop import FitResult, fit_and_save
 
 
 def fit_once(

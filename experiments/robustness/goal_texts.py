@@ -13,7 +13,7 @@ import numpy as np
 
 from experiments.robustness import forbidden_texts, open_wordings
 from experiments.robustness.language import SIDES
-from experiments.robustness.reward import COLOURS, PHRASES
+from experiments.robustness.reward_model import COLOURS, PHRASES
 from experiments.workbench.results import Outcome, Sample
 from freerein.goal_text import Grammar
 from freerein.model_store import ModelStore

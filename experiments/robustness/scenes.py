@@ -14,7 +14,7 @@ import torch
 
 from experiments.robustness.confidence import Answers
 from experiments.robustness.draw import Drawn, Scenes, open_or_draw
-from experiments.robustness.reward import EPSILON, PHRASES, open_grounding
+from experiments.robustness.reward_model import EPSILON, PHRASES, open_grounding
 from experiments.robustness.worlds import BLOCKS, CAMERA, NOMINAL, SCATTERED, conditions
 from experiments.workbench.results import Outcome, Sample
 from freerein.relations import SpatialRelation

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.robustness.draw import open_or_draw
-from experiments.robustness.reward import COLOURS
+from experiments.robustness.reward_model import COLOURS
 from experiments.robustness.scenes import nominal_specs, true_relations
 from experiments.robustness.worlds import CAMERA
 from experiments.workbench.results import Outcome, Sample

@@ -28,9 +28,9 @@ from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.jobs.child import stop_on_sigterm
 from freerein.learning.checkpoints import JSON
-from freerein.learning.fit import FitResult, TrainingFailed, fit
 from freerein.learning.learner import Learner
 from freerein.learning.model_files import choose_device
+from freerein.learning.training_loop import FitResult, TrainingFailed, fit
 from freerein_segmentation.model import ModelSpec, SegmentationNetwork
 from freerein_segmentation.training import SegmentationConfig, SegmentationLearner, held_out_action_loss
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from experiments.segmentation.study import Study
-from freerein.learning.fit import FitResult
 from freerein.learning.model_files import save_model
+from freerein.learning.training_loop import FitResult
 from freerein_segmentation.methods import METHODS
 from freerein_segmentation.model import SegmentationNetwork
 from freerein_segmentation.training import SegmentationLearner

@@ -23,7 +23,7 @@ from experiments.workbench.configs import Config, is_same, to_json
 from experiments.workbench.locks import locked
 from freerein.atomic_files import write_atomic
 from freerein.errors import FailedPrecondition
-from freerein.learning.fit import TrainingFailed
+from freerein.learning.training_loop import TrainingFailed
 from freerein_segmentation.training import SegmentationConfig
 
 _OF_FINAL = ("final_objective", "final_share", "rounds", "switching_cost", "action_evidence", "tag_context")

@@ -30,7 +30,7 @@ from experiments.workbench.arms import Arm
 from experiments.workbench.results import ArmResult, Sample
 
 from freerein.errors import InvalidInput
-from freerein.learning.fit import TrainingFailed
+from freerein.learning.training_loop import TrainingFailed
 from freerein_segmentation.model import SegmentationModel
 from freerein_segmentation.training import SegmentationConfig
 

@@ -9,10 +9,10 @@ import torch
 from torch import nn
 
 from freerein.learning import weights
-from freerein.learning.fit import fit, stop_on_sigterm
 from freerein.learning.fit_config import FitConfig
 from freerein.learning.learner import Items, Learner, Losses, Stage
 from freerein.learning.train_state import TrainState
+from freerein.learning.training_loop import fit, stop_on_sigterm
 
 CONFIG = FitConfig(
     steps=12, batch_size=3, lr=0.1, warmup_steps=2, evaluate_every=4, checkpoint_every=5, log_every=3, seed=1, threads=1

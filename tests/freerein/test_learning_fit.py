@@ -16,10 +16,10 @@ from torch import nn
 
 from freerein.errors import FailedPrecondition, OutOfStorage
 from freerein.learning import checkpoints, weights
-from freerein.learning.fit import FitEvent, FitResult, fit, fit_and_save
 from freerein.learning.fit_config import FitConfig
 from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.train_state import TrainState
+from freerein.learning.training_loop import FitEvent, FitResult, fit, fit_and_save
 
 
 class Diverging(Line):

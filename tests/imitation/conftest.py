@@ -61,7 +61,7 @@ def run_fit(run_child: Callable[..., tuple[int, str]]) -> Callable[..., Path]:
         folder.mkdir()
         config = METHODS.resolve(data_dir, dataset, values, threads=1)
         (folder / "config.json").write_text(json.dumps({"dataset": dataset, "config": config}))
-        code, log = run_child("freerein_imitation.fit", folder, data_dir, "cpu")
+        code, log = run_child("freerein_imitation.fit_child", folder, data_dir, "cpu")
         assert (code, [line for line in log.splitlines() if not line.startswith("Of the cameras")]) == (0, [])
         return folder / "model"
 

@@ -11,8 +11,8 @@ import torch
 from freerein import metrics
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.errors import InvalidInput
-from freerein.learning.fit import fit
 from freerein.learning.inputs import spec_of
+from freerein.learning.training_loop import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera, Trajectory
 from freerein_imitation.methods import METHODS

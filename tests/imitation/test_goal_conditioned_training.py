@@ -9,9 +9,9 @@ import torch
 
 from freerein import metrics
 from freerein.errors import InvalidInput
-from freerein.learning.fit import fit
 from freerein.learning.inputs import spec_of
 from freerein.learning.train_state import TrainState
+from freerein.learning.training_loop import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods.goal_conditioned.config import GoalConditionedConfig

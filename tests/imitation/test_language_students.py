@@ -12,7 +12,7 @@ from freerein.learning import model_files, tensor_files, weights
 from freerein.learning.actor_critic.shared_eye import SharedEye, SharedEyeSpec
 from freerein.learning.augmentation import resized_crops
 from freerein.learning.encoders.clip import ClipImageSpec
-from freerein.learning.fit import fit
+from freerein.learning.training_loop import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ActionSpec, Camera, ModelRef

@@ -12,8 +12,8 @@ from freerein.config import parse
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.learning import weights
-from freerein.learning.fit import fit
 from freerein.learning.fit_dataset import FitDataset
+from freerein.learning.training_loop import fit
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_imitation.methods import METHODS
 

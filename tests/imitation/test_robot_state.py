@@ -20,9 +20,9 @@ from tests.faults import control_robot as robots
 from freerein.data import LeRobotSource, dataset_path, import_trajectories
 from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import InvalidInput
-from freerein.learning.fit import fit
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.model_files import read_card
+from freerein.learning.training_loop import fit
 from freerein.model_store import ModelStore
 from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.learning.fit import fit
+from freerein.learning.training_loop import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.core.inference import InferenceRequest, InferenceResult, PolicyRunner

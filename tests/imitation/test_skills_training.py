@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.learning.fit import fit
 from freerein.learning.inputs import spec_of
+from freerein.learning.training_loop import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.segmentation import FLAGGED

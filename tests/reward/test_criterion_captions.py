@@ -14,7 +14,7 @@ from freerein.criteria import CRITERIA, View
 from freerein.criterion_text import Claim, CriterionCaption
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.fit import fit
+from freerein.learning.training_loop import fit
 from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward.core import GroundingModel, RewardModel

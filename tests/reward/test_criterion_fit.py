@@ -63,7 +63,7 @@ def model_folder(data_dir: Path, run_child: Callable[..., tuple[int, str]]) -> P
     folder.mkdir()
     config = METHODS.resolve(data_dir, "boxes", FAST | SMALL, threads=1, grounding=GROUNDING)
     (folder / "config.json").write_text(json.dumps({"dataset": "boxes", "config": config}))
-    code, printed = run_child("freerein_reward.fit", folder, data_dir, "cpu", GROUNDING)
+    code, printed = run_child("freerein_reward.fit_child", folder, data_dir, "cpu", GROUNDING)
     assert code == 0, printed
     return folder / "model"
 

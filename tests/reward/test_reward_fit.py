@@ -56,7 +56,7 @@ def test_a_fit_in_a_process_of_its_own_makes_a_model_from_frames_and_nouns_alone
     folder.mkdir()
     config = METHODS.resolve(data_dir, "squares", FAST, threads=1, grounding=GROUNDING)
     (folder / "config.json").write_text(json.dumps({"dataset": "squares", "config": config}))
-    assert run_child("freerein_reward.fit", folder, data_dir, "cpu", GROUNDING) == (0, "")
+    assert run_child("freerein_reward.fit_child", folder, data_dir, "cpu", GROUNDING) == (0, "")
     model = load(folder / "model", "cpu")
     assert isinstance(model, DualEncoderModel)
     assert not isinstance(model, GradCamModel)

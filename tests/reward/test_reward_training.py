@@ -9,7 +9,7 @@ import torch
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.fit import fit
+from freerein.learning.training_loop import fit
 from freerein.model_store import ModelStore
 from freerein.relations import SpatialRelation, caption
 from freerein.types.common import ModelRef

@@ -48,7 +48,7 @@ def fit(run_child: Callable[..., tuple[int, str]]) -> Fit:
         folder.mkdir()
         config = METHODS.resolve(data_dir, "demos", {**STEPS, **changes}, threads=1)
         (folder / "config.json").write_text(json.dumps({"dataset": "demos", "config": config, "steps": STEPS["steps"]}))
-        assert run_child("freerein_segmentation.fit", folder, data_dir, "cpu")[0] == 0
+        assert run_child("freerein_segmentation.fit_child", folder, data_dir, "cpu")[0] == 0
         return METHODS.load(folder / "model", "cpu"), json.loads((folder / "model" / "card.json").read_text())
 
     return run

@@ -10,8 +10,8 @@ import torch
 from freerein import metrics
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.fit import FitResult, TrainingFailed, fit
 from freerein.learning.inputs import spec_of
+from freerein.learning.training_loop import FitResult, TrainingFailed, fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.segmentation import FLAGGED

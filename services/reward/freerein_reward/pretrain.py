@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from freerein.errors import ServiceError
-from freerein.learning.fit import FitEvent, FitResult, fit_and_save
 from freerein.learning.model_files import choose_device, save_model
+from freerein.learning.training_loop import FitEvent, FitResult, fit_and_save
 from freerein.model_store import ModelStore
 from freerein_reward.model import GROUNDING, DualEncoder, GradCamModel
 from freerein_reward.training.config import GroundingConfig

@@ -15,10 +15,10 @@ from freerein.data import Dataset, tag_problems
 from freerein.data.batch_memory import Batches, batch_problems
 from freerein.errors import InvalidInput
 from freerein.learning.action_scaling import ActionScaling
-from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method, Methods
+from freerein.learning.training_loop import FitResult
 from freerein_segmentation import model
 from freerein_segmentation.model import ModelSpec, SegmentationModel, SegmentationNetwork
 from freerein_segmentation.training import Confidence, SegmentationConfig, SegmentationLearner

@@ -21,13 +21,13 @@ from freerein.config_schema import config_schema
 from freerein.data.lookup import choose_cameras, unseen_cameras
 from freerein.errors import InvalidInput
 from freerein.jobs.child import run_child
-from freerein.learning.fit import FitResult, fit_and_save
 from freerein.learning.fit_config import DatasetFitConfig, FitConfig
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.learner import Learner
 from freerein.learning.model_files import choose_device, read_card, save_model
 from freerein.learning.train_state import N
+from freerein.learning.training_loop import FitResult, fit_and_save
 
 C = TypeVar("C", bound=DatasetFitConfig)
 L = TypeVar("L", bound=Learner[Any])

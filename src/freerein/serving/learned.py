@@ -78,7 +78,7 @@ def learned_service(
     models = _cached(store, load, fit_command=f"freerein fit {name} DATASET{fit_hint}", data_dir=settings.data_dir)
     fits = FitService(
         settings.data_dir / "fits" / name,
-        module=f"freerein_{name}.fit",
+        module=f"freerein_{name}.fit_child",
         arguments=(str(settings.data_dir), settings.device, *fit_arguments),
         store=store,
         models=models,

@@ -16,13 +16,13 @@ from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.encoders import ENCODERS
-from freerein.learning.fit import FitResult
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
 from freerein.learning.learner import Items, Learner, Losses
 from freerein.learning.methods import Method
 from freerein.learning.train_state import TrainState
+from freerein.learning.training_loop import FitResult
 from freerein.learning.trajectories import Trajectories
 from freerein_imitation.methods.shared.frame_features import fit_in_distribution
 from freerein_imitation.methods.shared.goal_images.recognizer import (

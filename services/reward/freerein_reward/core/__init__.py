@@ -9,5 +9,5 @@ from freerein_reward.core.inference import Inference as Inference
 from freerein_reward.core.inference import InferenceBatcher as InferenceBatcher
 from freerein_reward.core.models import GroundingModel as GroundingModel
 from freerein_reward.core.models import RewardModel as RewardModel
-from freerein_reward.core.reward import RewardCore as RewardCore
+from freerein_reward.core.reward_core import RewardCore as RewardCore
 from freerein_reward.core.reward_stream import RewardStreamService as RewardStreamService

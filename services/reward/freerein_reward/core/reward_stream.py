@@ -26,7 +26,7 @@ from freerein.types.reward import (
 from freerein_reward.core.inference import InferenceBatcher, ScoreItem, Scores
 from freerein_reward.core.inputs import Pixels, request_frames
 from freerein_reward.core.models import RewardModel
-from freerein_reward.core.reward import RewardCore, judge, read_texts
+from freerein_reward.core.reward_core import RewardCore, judge, read_texts
 
 Requests: TypeAlias = AsyncIterator[RewardStreamRequest | InvalidMessage]
 

@@ -10,10 +10,10 @@ from torch import Tensor
 from freerein import metrics
 from freerein.learning import weights
 from freerein.learning.augmentation import agreement, augment_camera, delayed
-from freerein.learning.fit import FitResult
 from freerein.learning.in_distribution import KNOWN_FRAMES
 from freerein.learning.learner import Items, Learner, Losses, Stage, stage_at, unchanged
 from freerein.learning.train_state import TrainState
+from freerein.learning.training_loop import FitResult
 from freerein.learning.trajectories import Trajectories
 from freerein_segmentation.model import Context, ModelSpec, SegmentationNetwork
 from freerein_segmentation.objectives import OBJECTIVES, Objective

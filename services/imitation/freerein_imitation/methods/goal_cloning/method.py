@@ -5,10 +5,10 @@ from typing import Any
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
+from freerein.learning.training_loop import FitResult
 from freerein_imitation.methods.goal_cloning.config import GoalCloningConfig
 from freerein_imitation.methods.goal_cloning.losses import GoalCloningLearner
 from freerein_imitation.methods.goal_cloning.network import GoalCloningNetwork, GoalCloningSpec

@@ -13,10 +13,10 @@ from freerein.goal_text import Grammar
 from freerein.learning.actor_critic import shared_eye
 from freerein.learning.actor_critic.eye import EYE
 from freerein.learning.actor_critic.shared_eye import SharedEye
-from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
+from freerein.learning.training_loop import FitResult
 from freerein_imitation.methods.language.config import LanguageConfig
 from freerein_imitation.methods.language.losses import LanguageLearner
 from freerein_imitation.methods.language.network import LanguageNetwork, LanguageSpec

@@ -8,9 +8,9 @@ import torch
 
 from freerein.data import labels
 from freerein.errors import InvalidInput
-from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
+from freerein.learning.training_loop import FitResult
 from freerein_imitation.methods.skill_cloning.config import SkillCloningConfig, network_spec
 from freerein_imitation.methods.skill_cloning.losses import SkillCloningLearner
 from freerein_imitation.methods.skill_cloning.network import SkillCloningNetwork, SkillCloningSpec

@@ -7,10 +7,10 @@ from typing import Any
 import torch
 
 from freerein.data import labels
-from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
+from freerein.learning.training_loop import FitResult
 from freerein_imitation.methods.shared.skill_segments import generous_limit
 from freerein_imitation.methods.skills.config import SkillsConfig
 from freerein_imitation.methods.skills.losses import TERMINATION_THRESHOLD, SkillsLearner

@@ -12,10 +12,10 @@ from freerein.criteria import View
 from freerein.errors import InvalidInput
 from freerein.goal_text import words
 from freerein.learning import model_files
-from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
 from freerein.learning.split import train_validation_split
+from freerein.learning.training_loop import FitResult
 from freerein_reward.methods.criterion_captions.config import CriterionConfig
 from freerein_reward.methods.criterion_captions.criterion_model import CriterionModel
 from freerein_reward.methods.criterion_captions.evaluation import evaluate_criteria

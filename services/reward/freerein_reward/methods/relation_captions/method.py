@@ -7,10 +7,10 @@ import numpy as np
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
 from freerein.learning.split import train_validation_split
+from freerein.learning.training_loop import FitResult
 from freerein_reward.methods.relation_captions.caption_checks import accuracy_warnings, caption_warnings
 from freerein_reward.methods.relation_captions.caption_dataset import caption_images
 from freerein_reward.methods.relation_captions.config import RewardConfig

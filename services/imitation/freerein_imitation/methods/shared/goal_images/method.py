@@ -6,10 +6,10 @@ from typing import Any, TypeVar
 
 import torch
 
-from freerein.learning.fit import FitResult
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
+from freerein.learning.training_loop import FitResult
 from freerein.types.common import ModelRef
 from freerein_imitation.methods.shared.goal_images.config import GoalImagesConfig
 from freerein_imitation.methods.shared.goal_images.losses import GoalImagesLearner, N

@@ -1,4 +1,4 @@
-"""The child process of a fit: `python -m freerein_imitation.fit FOLDER DATA_DIR DEVICE`."""
+"""The child process of a fit: `python -m freerein_imitation.fit_child FOLDER DATA_DIR DEVICE`."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The child process of a fit: `python -m freerein_reward.fit FOLDER DATA_DIR DEVICE GROUNDING_FOLDER`.
+"""The child process of a fit: `python -m freerein_reward.fit_child FOLDER DATA_DIR DEVICE GROUNDING_FOLDER`.
 
 GROUNDING_FOLDER holds a version of the grounding model and is named after it. Captions are cached in FOLDER.
 """
