@@ -62,9 +62,7 @@ def learner(config: SegmentationConfig = FAST) -> SegmentationLearner:
 @pytest.mark.parametrize(
     "change",
     [
-        {"objective": "lse_per_timestep"},
         {"objective": "lse"},
-        {"objective": "mil"},
         {"objective": "ccnn", **STEADY},
         {"context": 2, "final_objective": "set_likelihood"},
         {"final_objective": "self_training", "action_evidence": 0.3, "tag_context": 0, "rounds": 2},
