@@ -76,6 +76,7 @@ def learner(
     return GoalConditionedLearner(config, spec, *seen, "fingerprint", CPU)
 
 
+@pytest.mark.long  # 400 updates; below, one of 120 that recognises its goals
 def test_unseen_goals_are_reached_and_recognised(tmp_path: Path) -> None:
     fitted = fit(learner(replace(FAST, steps=400, evaluate_every=200)), tmp_path)
     assert fitted is not None

@@ -462,6 +462,7 @@ def test_demonstrations_are_followed_by_their_goal_images(evaluation: Callable[.
     assert ("ended" in result["figures"]) == (switching == "policy")
 
 
+@pytest.mark.long  # a walk of hundreds of steps in the engine
 @needs_engine
 @pytest.mark.e2e
 def test_the_expert_is_the_ceiling_of_its_demonstrations(evaluation: Callable[..., Any]) -> None:
@@ -475,6 +476,7 @@ def test_the_expert_is_the_ceiling_of_its_demonstrations(evaluation: Callable[..
     assert figures["efficiency"] > 0.7  # it begins turned in any direction
 
 
+@pytest.mark.long  # a rope of many joints
 @pytest.mark.e2e
 def test_numbers_of_a_task_are_reported_by_landmark_and_random_actions_are_its_explorers(
     evaluation: Callable[..., Any],
