@@ -32,6 +32,7 @@ _START_S = 300.0  # of a machine with much else to do
 _ROOT = Path(__file__).parents[1]
 hypothesis.settings.register_profile(
     "any machine",
+    max_examples=20,
     deadline=None,
     suppress_health_check=[hypothesis.HealthCheck.too_slow, hypothesis.HealthCheck.function_scoped_fixture],
 )

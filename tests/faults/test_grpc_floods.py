@@ -20,7 +20,6 @@ from freerein.serving.limits import MAX_VALUES, Limits
 
 pytestmark = pytest.mark.e2e
 SEGMENT = "/freerein.api.segmentation.v1.SegmentationService/Segment"
-WATCH_FIT = "/freerein.api.learning.v1.FitService/WatchFit"
 HEALTH = "/grpc.health.v1.Health/Check"
 REFLECTION = "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo"
 MIB = 2**20
@@ -177,8 +176,8 @@ def peak_bytes(pid: int) -> int:
 @pytest.mark.fault("F4")
 @pytest.mark.parametrize(
     ("path", "refusal"),
-    [(SEGMENT, "At most 512 calls"), (WATCH_FIT, "At most 64 streams"), (REFLECTION, "At most 64 streams")],
-    ids=["unary", "stream", "reflection"],
+    [(SEGMENT, "At most 512 calls"), (REFLECTION, "At most 64 streams")],
+    ids=["unary", "stream"],
 )
 def test_calls_without_a_message_keep_nobody_out_for_long(
     faulty: Any, channel: grpc.Channel, path: str, refusal: str, least_of_many: Any

@@ -6,7 +6,7 @@ from typing import Any
 
 import grpc
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from freerein.api.common.v1 import common_pb2
@@ -109,7 +109,6 @@ def _field(number: int, content: bytes) -> bytes:
 
 @pytest.mark.fault("G8")
 @given(message=st.binary(max_size=200))
-@settings(max_examples=100)
 async def test_any_bytes_are_a_message_or_refused(faulty: Any, message: bytes) -> None:
     async with grpc.aio.insecure_channel(faulty.service.address) as channel:
         for path in (SEGMENT, START_FIT):

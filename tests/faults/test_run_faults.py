@@ -4,7 +4,6 @@ import asyncio
 import hashlib
 import json
 import os
-import resource
 import shutil
 import signal
 from collections.abc import Callable, Iterator
@@ -13,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 from tests.faults import chaos_proxy as network
 from tests.faults.lies import tell
@@ -182,24 +180,6 @@ async def test_a_training_over_a_bad_network_ends_with_the_same_policy(
                 proxy.heal()
             assert await asyncio.to_thread(process.wait, PATIENCE_S) == 0, run.log
         assert sim.connections > 1
-    assert run.policy == whole.policy
-
-
-@pytest.mark.fault("O5")
-def test_a_disk_that_is_full_for_a_while_costs_nothing(
-    run: Run, whole: Run, reward: Any, lies: Callable[[str], None]
-) -> None:
-    lies("slow 1000000")
-    with run.start() as process:
-        run.until(2)
-        limit = partial(psutil.Process(process.pid).rlimit, resource.RLIMIT_FSIZE)
-        limit((0, resource.RLIM_INFINITY))  # not a byte more, in any file
-        lies("crawl 1000000")  # so that there is time to end it before three checkpoints are lost
-        wait_until(lambda: int((reward.data_dir / "lies").read_text()[6:]) <= 1_000_000 - 2)
-        assert process.poll() is None, run.log
-        limit((resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-        lies("")
-        assert process.wait(PATIENCE_S) == 0, run.log
     assert run.policy == whole.policy
 
 

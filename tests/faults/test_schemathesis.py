@@ -25,7 +25,7 @@ SERVICES = {
 
 @pytest.mark.parametrize(
     ("name", "seconds"),
-    [("orchestrator", 1), ("imitation", 1), *(pytest.param(name, 30, marks=pytest.mark.long) for name in SERVICES)],
+    [("orchestrator", 1), *(pytest.param(name, 30, marks=pytest.mark.long) for name in SERVICES)],
 )
 def test_no_generated_request_breaks_a_service_or_its_document(
     start_service: Callable[..., Any], tmp_path: Path, fuzz: bool, name: str, seconds: int

@@ -63,16 +63,9 @@ def test_watchers_that_never_read_delay_nobody(orchestrator: httpx.Client) -> No
     assert seen[-1]["run"]["step"] == COUNT
 
 
-def test_watching_resumes_after_the_last_event_id_and_events_are_what_the_document_says(
-    orchestrator: httpx.Client,
-) -> None:
-    import schemathesis
-
+def test_watching_resumes_after_the_last_event_id(orchestrator: httpx.Client) -> None:
     run_id = start(orchestrator, "interrupted")
     seen = events(orchestrator, run_id, most=2)
     while seen[-1]["run"]["state"] != "succeeded":
         seen += events(orchestrator, run_id, after=seen[-1]["sequence"], most=2)
     assert seen == events(orchestrator, run_id)
-    document = schemathesis.openapi.from_url(f"{orchestrator.base_url}/openapi.json")
-    watch = document["/v1/watch-run"]["GET"].Case(query={"id": run_id})
-    assert "succeeded" in watch.call_and_validate(timeout=300).text

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from freerein.errors import DeadlineExceeded, InvalidInput, ModelFault, Overloaded, ServiceError, Unavailable
@@ -270,7 +270,6 @@ async def test_what_a_batch_that_fails_leaves_is_refused_once_closed(wait_until:
     await closing
 
 
-@settings(max_examples=30)
 @given(
     items=st.lists(st.tuples(st.integers(0, 12), st.sampled_from("ab"), st.booleans()), max_size=30),
     queue=st.integers(1, 30),

@@ -38,18 +38,14 @@ def test_results_and_exceptions_complete_their_futures(run: Callable[..., Any]) 
     assert isinstance(failed, ZeroDivisionError)
 
 
-@LOOPS
-def test_more_results_than_the_pipe_holds_are_delivered(run: Callable[..., Any]) -> None:
-    async def main() -> int:
-        loop = asyncio.get_running_loop()
-        results, count = ThreadResults[int](loop), 70_000
-        futures = [loop.create_future() for _ in range(count)]
-        for number, future in enumerate(futures):
-            results.put(future, number)
-            results.send()  # the loop does not read meanwhile
-        return sum(await asyncio.gather(*futures))
-
-    assert run(main()) == sum(range(70_000))
+async def test_more_results_than_the_pipe_holds_are_delivered() -> None:
+    loop = asyncio.get_running_loop()
+    results, count = ThreadResults[int](loop), 70_000
+    futures = [loop.create_future() for _ in range(count)]
+    for number, future in enumerate(futures):
+        results.put(future, number)
+        results.send()  # the loop does not read meanwhile
+    assert sum(await asyncio.gather(*futures)) == sum(range(count))
 
 
 @LOOPS

@@ -92,7 +92,7 @@ def test_none_executes_the_mean_of_two_pick_points(name: str) -> None:
         code = head.encode(both)
         return torch.cat([torch.zeros(1, HIDDEN), code, code], dim=1).expand(count, -1)
 
-    trained(head, contexts, actions, steps=80)
+    trained(head, contexts, actions, steps=40)
     context = contexts()
 
     (likeliest,) = head.act(context[:1], None, temperature=1.0)
@@ -119,7 +119,7 @@ def test_a_map_finds_what_differs_between_the_images() -> None:
     def contexts() -> Tensor:
         return torch.cat([torch.zeros(len(places), HIDDEN), head.encode(here), head.encode(there)], dim=1)
 
-    trained(head, contexts, actions, steps=80)
+    trained(head, contexts, actions, steps=40)
 
     apart = (head.act(contexts(), None, temperature=1.0) - actions).abs()
     assert apart[:, :2].median() < 0.1

@@ -19,7 +19,7 @@ from freerein.model_store import ModelStore
 from freerein.serving.batcher import Batcher
 from freerein.serving.metrics import Metrics
 from freerein.serving.model_cache import ModelCache
-from freerein.types.common import ActionSpec, Goal, Image, Observation, Trajectory
+from freerein.types.common import ActionSpec, Goal, Image, ModelRef, Observation, Trajectory
 from freerein.types.imitation import ActRequest, GetSpecRequest
 from freerein_imitation.core import ActService, PolicyRunner
 from freerein_imitation.methods import METHODS
@@ -52,12 +52,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory, run_fit: Callable[..., Path
     return run_fit(data_dir, "play", FAST)
 
 
+@pytest.fixture(scope="module")
+def store(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> ModelStore:
+    """A store with a copy of the fit's model."""
+    root = tmp_path_factory.mktemp("models")
+    store = ModelStore(root / "models")
+    store.activate(store.publish("", shutil.copytree(folder, root / "copy")))
+    return store
+
+
+@pytest.fixture(scope="module")
+def policy(store: ModelStore) -> Any:
+    return METHODS.load(store.folder(ModelRef("default", store.active_version("default"))), "cpu")
+
+
 @pytest.fixture
-async def act(folder: Path, tmp_path: Path) -> AsyncIterator[ActService]:
-    """The core of the service around a copy of the fit's model."""
-    store = ModelStore(tmp_path / "models")
-    store.activate(store.publish("", shutil.copytree(folder, tmp_path / "copy")))
-    models: Any = ModelCache(store, lambda path: METHODS.load(path, "cpu"), fit_command="none")
+async def act(store: ModelStore, policy: Any) -> AsyncIterator[ActService]:
+    """The core of the service around the fit's model."""
+    models: Any = ModelCache(store, lambda _folder: policy, fit_command="none")
     batcher = Batcher(PolicyRunner().run_batch, queue=4, batch=4, metrics=Metrics())
     yield ActService(models, batcher)
     batcher.close()
@@ -197,9 +209,8 @@ NO_STATEMENTS = ("dance", "put the yellow block away", "what time is it?", "", "
 
 
 @pytest.fixture(scope="module")
-def encode(folder: Path) -> Encode:
+def encode(policy: Any) -> Encode:
     """The codes of the fitted model's reader."""
-    policy: Any = METHODS.load(folder, "cpu")
     return lambda text: policy.encode_goals([text])[0]
 
 

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
-from freerein.learning import weights
-from freerein.learning.training_loop import fit
+from freerein.learning.fit import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods.language.config import LanguageConfig
@@ -110,16 +109,6 @@ def test_few_held_out_frames_have_low_in_distribution_scores_and_noise_has(text_
     frames = np.concatenate(list(roll_out(40, seed=1).frames["front"]))
     assert (scores(frames) < 0.05).mean() < 0.1
     assert scores(np.random.default_rng(0).integers(0, 256, frames.shape, np.uint8)).max() < 0.05
-
-
-def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(text_encoder_file: bytes, tmp_path: Path) -> None:
-    learner, asked = prepare(text_encoder_file), iter(range(100))
-    whole = fit(learner, tmp_path / "whole")
-    assert fit(learner, tmp_path / "parts", stop=lambda: next(asked) == 40) is None
-    parts = fit(prepare(text_encoder_file), tmp_path / "parts")
-    assert whole is not None
-    assert parts is not None
-    assert weights.sha256(whole.network) == weights.sha256(parts.network)
 
 
 def test_two_cameras_of_different_sizes_are_both_learned_from(text_encoder_file: bytes) -> None:

@@ -227,18 +227,15 @@ def test_actions_are_learned_from_frames(tmp_path: Path) -> None:
     assert rewards[-1] > 0.9
 
 
-@pytest.mark.parametrize(("recurrent", "iterations", "least", "most"), [(True, 12, 0.95, 1.0), (False, 4, 0.3, 0.7)])
-def test_a_recurrent_policy_alone_learns_to_remember(
-    tmp_path: Path, recurrent: bool, iterations: int, least: float, most: float
-) -> None:
+def test_a_recurrent_policy_learns_to_remember(tmp_path: Path) -> None:
     config = PPOConfig(
-        iterations=iterations,
+        iterations=12,
         num_steps=16,
         batch_size=128,
         lr=2e-2,
         normalise_rewards=False,
         hidden_size=16,
-        recurrent=recurrent,
+        recurrent=True,
     )
     spec = network_spec(config, observation=(2,), action_choices=2)
     Trainer(
@@ -248,12 +245,11 @@ def test_a_recurrent_policy_alone_learns_to_remember(
         collector=lambda _: LocalCollector(CueEnvs(), config),
         metrics_log=lambda last_step: MetricsLogger(tmp_path, last_step=last_step),
     ).train()
-    assert least <= np.mean([row["episode_return"] for row in rows(tmp_path)[-3:]]) <= most
+    assert np.mean([row["episode_return"] for row in rows(tmp_path)[-3:]]) > 0.95  # 0.5 without memory
 
 
-@pytest.mark.parametrize("frame_stack", [1, 3])
-def test_a_training_resumed_from_any_checkpoint_ends_with_the_same_bits(tmp_path: Path, frame_stack: int) -> None:
-    config, state = replace(SHORT, recurrent=True), None
+def test_a_training_resumed_from_any_checkpoint_ends_with_the_same_bits(tmp_path: Path) -> None:
+    config, frame_stack = replace(SHORT, recurrent=True), 3
     for iteration in range(3):
 
         def stop(log: Path = tmp_path / "metrics.jsonl", iteration: int = iteration) -> None:

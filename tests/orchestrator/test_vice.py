@@ -16,7 +16,7 @@ from freerein_orchestrator.rewards.vice import ViceReward
 from freerein_orchestrator.rl.config import PPOConfig
 
 CAMERA = Camera("top", 33, 30, 3)
-CONFIG = {"reward": "vice", "dataset": "won", "encoder": "spatial", "iterations": 3, "num_envs": 2, "num_steps": 8}
+CONFIG = {"reward": "vice", "dataset": "won", "encoder": "spatial", "iterations": 2, "num_envs": 2, "num_steps": 8}
 SMALL = {"task": "grid", "epochs": 1, "batch_size": 8, "hidden_size": 8, "feature_size": 8}
 
 
@@ -61,19 +61,19 @@ def test_examples_that_are_not_there_or_of_another_camera_are_refused(data_dir: 
 
 
 @pytest.mark.e2e
-def test_a_run_killed_after_an_iteration_ends_with_the_bits_of_an_undisturbed_one(
+def test_a_run_stopped_after_an_iteration_ends_with_the_bits_of_an_undisturbed_one(
     new_run: Callable[..., Any], mortal_sim: Any, data_dir: Path
 ) -> None:
-    killed, whole = (
+    stopped, whole = (
         new_run(data_dir, "ppo", CONFIG | SMALL, FREEREIN_SIM_ADDRESS=mortal_sim.address) for _ in range(2)
     )
-    killed.kill_when(lambda: bool(killed.rows))
+    assert not stopped.do(stop=lambda: bool(stopped.rows))
     (dataset_path(data_dir, "won")).rename(data_dir / "elsewhere")  # it is needed no longer
-    assert killed.do()
+    assert stopped.do()
     (data_dir / "elsewhere").rename(dataset_path(data_dir, "won"))
     assert whole.do()
     card = whole.artifact("policy.json")
-    assert killed.artifact("policy.json") == card
+    assert stopped.artifact("policy.json") == card
     assert card["privileged"]
     assert "privileged" in card["supervision"]
     assert (whole.rows[-1]["privileged"], card["model"]) == (1.0, {"name": "", "version": ""})

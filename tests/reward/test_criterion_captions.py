@@ -1,7 +1,6 @@
 """The method `criterion_captions`: captions of places, keypoints by phrase, and fits to scenes of three cameras."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -42,7 +41,7 @@ from freerein_reward.methods.criterion_captions.network import STATEMENTS
 from freerein_reward.methods.criterion_captions.place_dataset import PlaceDataset, find_places, view_layout
 from freerein_reward.methods.criterion_captions.recoloured_moments import recolour_moments
 from freerein_reward.methods.criterion_captions.spec import CriterionSpec
-from freerein_reward.model import DualEncoder, DualEncoderSpec, GradCamModel, load_grounding
+from freerein_reward.model import GradCamModel, load_grounding
 
 CPU = torch.device("cpu")
 SHIPPED = Path(__file__).parents[2] / "models" / "reward"
@@ -321,28 +320,6 @@ def test_the_model_is_both_kinds_of_the_core_and_alone_or_in_a_batch_answers_the
     ]
     np.testing.assert_allclose(together, np.concatenate(alone), atol=1e-5)
     assert (together[:, 2] == 0).all()
-
-
-def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: CriterionLearner, tmp_path: Path) -> None:
-    untrained = DualEncoder(DualEncoderSpec(cameras=("",), vocabulary=("a", "red", "green", "blue", "block")))
-    weights.initialise(untrained, generator=torch.Generator().manual_seed(0))
-    config = replace(CONFIG, steps=6, batch_size=4, evaluate_every=3, checkpoint_every=3, augmentation=1.0)
-    grounding = GradCamModel(untrained)
-    small = replace(
-        learner,
-        config=config,
-        spec=network_spec(grounding, config, learner.training.layout),
-        grounding=grounding,
-        training=learner.training.subset(np.arange(12)),
-        validation=learner.validation.subset(np.arange(4)),
-    )
-    whole = fit(small, tmp_path / "whole")
-    asked = iter([False, False, False, False, True])
-    assert fit(small, tmp_path / "parts", stop=lambda: next(asked)) is None
-    parts = fit(small, tmp_path / "parts")
-    assert whole is not None
-    assert parts is not None
-    assert weights.sha256(whole.network) == weights.sha256(parts.network)
 
 
 def test_the_text_encoder_stays_the_grounding_models(model: CriterionModel, learner: CriterionLearner) -> None:

@@ -196,7 +196,7 @@ def test_sessions_answer_as_environments_in_process_whatever_is_asked(fork_worke
         try:
             run_state_machine_as_test(
                 lambda: Clients(service),
-                settings=settings(max_examples=25, stateful_step_count=40, database=None),
+                settings=settings(max_examples=10, stateful_step_count=30, database=None),
             )
         finally:
             runner.run(service.sessions.close())

@@ -78,7 +78,7 @@ def test_a_forged_part_is_refused(header: bytes, envs: bytes) -> None:
     assert refused.value.field == "snapshot"
 
 
-@settings(max_examples=200, database=None)
+@settings(max_examples=40, database=None)
 @given(fields=st.dictionaries(st.sampled_from([*HEADER, "more"]), JSON, max_size=3), envs=st.binary(max_size=60))
 def test_whatever_the_header_says_it_is_refused_or_has_the_declared_types(fields: dict[str, Any], envs: bytes) -> None:
     try:

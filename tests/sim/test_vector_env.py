@@ -282,7 +282,7 @@ def test_a_snapshot_without_its_last_or_with_another_byte_is_refused(begin: Make
 
 
 @pytest.mark.fault("M10")
-@settings(max_examples=150, database=None)
+@settings(max_examples=30, database=None)
 @given(data=st.data())
 def test_a_forged_snapshot_is_refused_and_changes_nothing_or_is_a_state(data: st.DataObject) -> None:
     envs = VectorEnv(GRID, num_envs=2, seed=0)
