@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
-from freerein.learning.fit import fit
+from freerein.learning.training_loop import fit
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods.language.config import LanguageConfig
