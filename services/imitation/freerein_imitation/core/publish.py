@@ -48,12 +48,18 @@ class PublishService:
         self._data_dir.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".published-", dir=self._data_dir) as staging:
             folder = Path(staging) / "model"
-            task = await asyncio.to_thread(_convert, artifacts, request.run, folder)
+            task = await asyncio.to_thread(convert, artifacts, request.run, folder)
             return await self._models.publish(check_name(request.model_name or task, field="model_name"), folder)
 
 
-def _convert(artifacts: Path, run: str, folder: Path) -> str:
-    """Writes the policy in a run's artifacts as a model of this service; returns the name of the run's task."""
+def convert(artifacts: Path, run: str, folder: Path) -> str:
+    """Writes the policy in a run's artifacts as a model of this service; returns the name of the run's task.
+
+    Raises:
+        NotFound: There is no such run.
+        FailedPrecondition: The run has no policy, or one without all that is served of it.
+        InvalidInput: The run's files are malformed.
+    """
     if not artifacts.parent.is_dir():
         raise NotFound(
             "The run must exist; there is none of that id.", field="run", hint="`freerein jobs list` names the runs."
