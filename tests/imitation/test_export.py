@@ -116,7 +116,7 @@ def test_what_cannot_be_exported_is_told(tmp_path: Path, monkeypatch: pytest.Mon
     (full / "mine.txt").touch()
     for words, sentence in (
         (("skills", "--to", str(full)), "must be new or empty"),
-        (("nothing", "--to", str(new)), "`nothing` is none"),
+        (("nothing", "--to", str(new)), "`nothing` is none that is active"),
         (("skills@000000000000", "--to", str(new)), "none has that name and version"),
         (("skills", "--to", str(new), "--goal-text", "up"), "this one follows recipe"),
         ((RUN, "--run", "--to", str(new)), "The run must exist"),

@@ -103,9 +103,7 @@ def publish(
 def export(
     name: Annotated[
         str,
-        typer.Argument(
-            metavar="NAME[@VERSION]", help="Policy of the imitation service; by default the active version."
-        ),
+        typer.Argument(metavar="NAME[@VERSION]", help="Model of the imitation service, or stored policy of ppo."),
     ],
     *,
     to: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write, new or empty.")],
@@ -120,27 +118,30 @@ def export(
     Needs no service, but the files of the model: the data directory. Takes half a minute.
     """
     settings = CliSettings()
-    exporter = import_module(f"{choose(['imitation'])['imitation']}.export")
     if run:
-        exporter.export_run(settings.data_dir, find(name, "orchestrator")[1], to)
+        name = find(name, "orchestrator")[1]
+        source, data = settings.data_dir / "runs" / name / "artifacts", f"ppo run {name}"
     else:
-        model = _policy_folder(settings, *name.partition("@")[::2])
-        exporter.export_model(model, to, goal_texts=goal_text or ())
+        source, data = _policy_folder(settings, *name.partition("@")[::2]), f"stored policy {name}"
+    exporter = import_module(f"{choose(['imitation'])['imitation']}.export")
+    exporter.export_policy(source, to, data=data, goal_texts=goal_text or ())
     print_json({"folder": str(to)}) if as_json else typer.echo(f"{name} is in {to}; its README.txt says how to run it.")
 
 
 def _policy_folder(settings: CliSettings, name: str, version: str) -> Path:
-    """Returns the folder of a policy; an empty version is the active one."""
-    store = ModelStore(settings.data_dir / "models/imitation", (settings.shipped_dir or CLONE_MODELS) / "imitation")
-    version = version or store.active_version(check_name(name, field="name"))
-    if not version:
-        active = [each for each in store.names() if store.active_version(each)]
-        raise NotFound(
-            f"The policy must be a model of the imitation service with an active version; {quoted(name)} is none.",
-            field="name",
-            hint=f"Active are {', '.join(active)}. `freerein models list` lists all. With --run it is the id of a run.",
-        )
-    return store.folder(ModelRef(name, version))
+    """Returns the folder of a model of the imitation service, or of a stored policy; by default the active version."""
+    check_name(name, field="name")
+    for service in ("imitation", "orchestrator"):
+        shipped = (settings.shipped_dir or CLONE_MODELS) / service
+        store = ModelStore(settings.data_dir / "models" / service, shipped)
+        if name in store.names() and (chosen := version or store.active_version(name)):
+            return store.folder(ModelRef(name, chosen))
+    raise NotFound(
+        f"The policy must be a model of the imitation service, or a stored policy of ppo; {quoted(name)} is none that "
+        "is active.",
+        field="name",
+        hint="`freerein models list --service imitation` names the models. With --run NAME is the id of a ppo run.",
+    )
 
 
 def _owner(name: str, version: str) -> str:
