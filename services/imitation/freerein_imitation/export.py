@@ -120,7 +120,7 @@ def _entry(graph: PolicyGraph, spec: PolicySpec) -> Mapping[str, Any]:
         "inputs": [asdict(each) for each in graph.inputs],
         "outputs": [{k: v for k, v in asdict(each).items() if k != "start"} for each in graph.outputs],
         "goals": list(graph.goals),
-        "checked": f"Outputs for random frames are the policy's own, within {TOLERANCE:g}; `in_distribution` is a rank, "
-        "which rounding may move by a step.",
+        "checked": f"Outputs for random frames are the policy's own, within {TOLERANCE:g}; `in_distribution`, a rank, "
+        "may be a step away.",
         "left_out": left_out,
     }
