@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from freerein.errors import FailedPrecondition, OutOfStorage, Unavailable
+from freerein.errors import AlreadyExists, FailedPrecondition, OutOfStorage, Unavailable
 
 TEMP_SUFFIX = ".tmp"
 TOKEN = "[0-9a-f]" * 8
@@ -76,6 +76,30 @@ def fsync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Yields a temporary folder beside a new one, whose name it takes once the body has ended without an error.
+
+    Raises:
+        AlreadyExists: The new one is there and not empty, or no folder.
+    """
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise AlreadyExists(
+            "The folder to write must be new or empty; there is something of its name.", hint="Name another folder."
+        )
+    temporary = folder.absolute().with_name(f".{folder.absolute().name}-{secrets.token_hex(4)}")
+    make_folder(temporary)
+    try:
+        yield temporary
+        for path in filter(Path.is_file, temporary.rglob("*")):
+            with path.open("rb") as file:
+                os.fsync(file.fileno())
+        temporary.replace(folder)
+        fsync_folder(temporary.parent)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def delete_folder(folder: Path) -> None:

@@ -75,6 +75,11 @@ window = LeRobotDataset("freerein/compat", root=root / "continuous", delta_times
 assert np.array_equal(window[0]["action"].numpy(), scene.actions(0)[:2])
 assert next(iter(DataLoader(dataset, batch_size=4)))["observation.images.front"].shape == (4, 3, 24, 32)
 
+exported = LeRobotDataset("freerein/compat", root=root / "exported", video_backend="pyav")
+assert len(exported) == len(dataset)
+for feature in ("observation.images.front", "observation.images.wrist", "action", "observation.state"):
+    assert all(torch.equal(exported[row][feature], dataset[row][feature]) for row in (0, len(dataset) - 1))
+
 discrete = LeRobotDataset("freerein/compat", root=root / "discrete", video_backend="pyav")
 assert [int(item["action"]) for item in discrete] == [int(choice) for choice in scene.choices(0)[:, 0]]
 

@@ -9,6 +9,7 @@ import scene
 
 from freerein.data import DatasetSpec, create
 from freerein.data.labels import LabelsInfo, LabelsWriter
+from freerein.data.lerobot_folder import export_lerobot
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 
 root = Path(sys.argv[1])
@@ -40,6 +41,7 @@ with LabelsWriter(root / "continuous", name="scene") as labeller:
     for index, length in enumerate(scene.LENGTHS):
         labeller.save(index, np.zeros(length, np.int64))
     labeller.finish(LabelsInfo(spec.skills, ModelRef("default", "0" * 12)))
+export_lerobot(root / "continuous", root / "exported")
 
 choice = ActionSpec(size=1, choices=scene.CHOICES, names=("left", "right", "forward"))
 with create(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from onnxruntime import InferenceSession
 
 from freerein.data import DatasetSpec, create, dataset_path
 from freerein.errors import FailedPrecondition, InvalidInput
@@ -22,6 +23,7 @@ from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ActionSpec, Goal, Image, ModelRef, Observation, Trajectory
 from freerein.types.imitation import ActRequest, GetSpecRequest
 from freerein_imitation.core import ActService, PolicyRunner
+from freerein_imitation.export import export_policy
 from freerein_imitation.methods import METHODS
 from freerein_imitation.methods.language.method import supervision_of
 from freerein_imitation.methods.language.texts import minilm
@@ -249,3 +251,19 @@ def place_between(left: Vector, right: Vector, code: Vector) -> float:
     """Returns 1 for the code `left`, -1 for `right`, and 0 for what is as near to one as to the other."""
     axis = (left - right) / 2
     return float((code - (left + right) / 2) @ axis / (axis**2).sum())
+
+
+@pytest.mark.long
+def test_an_exported_policy_follows_the_texts_that_it_was_trained_for(folder: Path, tmp_path: Path) -> None:
+    export_policy(folder, tmp_path / "exported", data="", goal_texts=("Please open the gripper!",))
+    card = json.loads((tmp_path / "exported/card.json").read_bytes())["onnx"]
+    assert card["goals"] == sorted(TEXTS)  # the further one says the same as the first
+    policy, session = METHODS.load(folder, "cpu"), InferenceSession(tmp_path / "exported/policy.onnx")
+    frames = np.random.default_rng(1).integers(256, size=(4, 12, 12, 3), dtype=np.uint8)
+    nothing, goals = np.zeros((4, 1), np.float32), np.array([0, 1, 1, 0])
+    given = {"observation.images.front": frames, "goal": goals, "executed_actions": nothing}
+    actions, _ = session.run(["actions", "in_distribution"], given)
+    codes = policy.encode_goals([card["goals"][each] for each in goals])
+    expected = policy.step({"front": frames}, codes, nothing, np.zeros((4, 0), np.float32))
+    np.testing.assert_allclose(actions, expected.actions, atol=1e-4)
+    assert np.abs(actions[0] - actions[1]).max() > 0.1

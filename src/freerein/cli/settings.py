@@ -15,11 +15,13 @@ class CliSettings(EnvironmentVariables):
         data_dir: Folder of datasets, models, fits, runs and logs.
         token: Bearer token sent to services; unset for none.
         tls_cert: PEM file of the root certificates of the services; unset for no TLS.
+        shipped_dir: Folder of the shipped models; unset for `models/` of the clone.
     """
 
     data_dir: Path = Path("var")
     token: SecretStr | None = None
     tls_cert: Path | None = None
+    shipped_dir: Path | None = None
 
     def __init__(self) -> None:
         """Reads the environment. Raises InvalidInput where a variable is wrong, or has the name of no setting."""

@@ -47,7 +47,8 @@ def statistics_sizes(cameras: Sequence[Camera], *, colours: bool = False) -> tup
 
 def _parts(frames: Tensor) -> Iterator[Tensor]:
     """Yields pixels, float32 (n, C, H, W) in [0, 1], of a few frames at once."""
-    for part in torch.split(frames, _FRAMES_AT_ONCE):
+    is_graph = torch.compiler.is_exporting()  # which cannot loop over frames
+    for part in (frames,) if is_graph else torch.split(frames, _FRAMES_AT_ONCE):
         yield part.permute(0, 3, 1, 2).float() / 255
 
 

@@ -69,7 +69,7 @@ async def parse_goal(spec: PolicySpec, goal: Goal, resizer: Resizer = _AS_THEY_A
     """
     _check_goal_form(spec, goal)
     if spec.goal_form == "text":
-        return (_parse_text(spec, goal.text),)
+        return (parse_text(spec, goal.text),)
     if spec.goal_form == "recipe":
         return tuple(_parse_skill(spec, name, f"goal.recipe.{i}") for i, name in enumerate(goal.recipe))
     is_raw = all(image.encoding in _RAW for image in goal.images)
@@ -212,8 +212,8 @@ def _names(spec: PolicySpec) -> str:
     return ", ".join(camera.name for camera in spec.cameras)
 
 
-def _parse_text(spec: PolicySpec, text: str) -> Subgoal:
-    """Returns a text as a goal, in the words of the policy's training; none that its grammar cannot read."""
+def parse_text(spec: PolicySpec, text: str) -> Subgoal:
+    """Returns a text as a goal, in the words of the policy's training; InvalidInput where that cannot be read."""
     if spec.goal_texts or spec.training_texts:
         read = spec.known_texts.read(text)
         followed = _followed(spec, read)

@@ -48,12 +48,23 @@ class PublishService:
         self._data_dir.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".published-", dir=self._data_dir) as staging:
             folder = Path(staging) / "model"
-            task = await asyncio.to_thread(_convert, artifacts, request.run, folder)
+            task = await asyncio.to_thread(convert, artifacts, folder, data=f"ppo run {request.run}")
             return await self._models.publish(check_name(request.model_name or task, field="model_name"), folder)
 
 
-def _convert(artifacts: Path, run: str, folder: Path) -> str:
-    """Writes the policy in a run's artifacts as a model of this service; returns the name of the run's task."""
+def convert(artifacts: Path, folder: Path, *, data: str) -> str:
+    """Writes the policy in a run's artifacts as a model of this service; returns the name of the run's task.
+
+    Args:
+        artifacts: Of a run, or the folder of a stored policy.
+        folder: Made.
+        data: Entry of the model's card: what it was trained on.
+
+    Raises:
+        NotFound: There is no such run.
+        FailedPrecondition: The run has no policy, or one without all that is served of it.
+        InvalidInput: The run's files are malformed.
+    """
     if not artifacts.parent.is_dir():
         raise NotFound(
             "The run must exist; there is none of that id.", field="run", hint="`freerein jobs list` names the runs."
@@ -71,7 +82,7 @@ def _convert(artifacts: Path, run: str, folder: Path) -> str:
     network.in_distribution = policy_files.load_in_distribution(artifacts, cameras=spec.cameras)
     card: dict[str, Any] = {name: policy.card.get(name) for name in _KEPT}
     folder.mkdir()
-    save_model(network, folder, card={**card, "method": ppo.METHOD, "data": f"ppo run {run}", **control.to_card()})
+    save_model(network, folder, card={**card, "method": ppo.METHOD, "data": data, **control.to_card()})
     return str(policy.card.get("task"))
 
 

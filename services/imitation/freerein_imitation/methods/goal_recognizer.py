@@ -9,13 +9,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.encoders import ENCODERS
+from freerein.learning.encoders import ENCODERS, FrameTensors
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
@@ -35,7 +35,7 @@ from freerein_imitation.methods.shared.goal_images.recognizer_losses import (
     recognized_ahead,
     sampled_recognizer_loss,
 )
-from freerein_imitation.model.policy import CameraFrames, ControlSpec
+from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.torch_policy import StepInputs, StepOutputs, TorchPolicy, confidence, loader
 
 _NORMALISATION_FRAMES = 2000
@@ -80,9 +80,10 @@ class GoalRecognizerPolicy(TorchPolicy[GoalRecognizerNetwork]):
     def __init__(self, network: GoalRecognizerNetwork, control: ControlSpec) -> None:
         super().__init__(network, control, goal_form="images")
 
-    def encode_goals(self, goals: CameraFrames) -> npt.NDArray[np.float32]:
+    def encode_images(self, images: FrameTensors) -> Tensor:
         """Returns embeddings, float32 (N, G), of goal images by camera, uint8 (N, H, W, C)."""
-        return self._encode_images(self._network.recognizer, goals)
+        embeddings: Tensor = self._network.recognizer(images)
+        return embeddings
 
     def _step(self, inputs: StepInputs) -> StepOutputs:
         reached = proximity_logit(self._network.recognizer(inputs.frames), inputs.goals).sigmoid()

@@ -105,20 +105,20 @@ class PPOPolicy(TorchPolicy[PPOPolicyNetwork]):
             [after, actions, (held + 1) % spec.network.action_repeat, torch.ones_like(begun), seen], dim=1
         )
         chosen = actions[:, None].to(torch.int64 if spec.action.choices else torch.float32)
-        never = torch.zeros(len(actions), device=self._device)
+        never = torch.zeros_like(held[:, 0])
         return StepOutputs(chosen, never, state, torch.ones_like(never))
 
     def _observe(self, inputs: StepInputs, begun: Tensor, pixels: Tensor) -> Tensor:
         """Returns observations as the network takes them, (B, ...), of `begun` robots with earlier `pixels`."""
         network = self._network.actor_critic
         frames = torch.cat([inputs.frames[camera.name] for camera in self.spec.cameras], dim=-1)
-        earlier = pixels.to(torch.uint8).view(len(frames), *network.spec.earlier_shape)
+        earlier = pixels.to(torch.uint8).view(frames.shape[0], *network.spec.earlier_shape)
         return network.observe(frames, inputs.previous.cpu(), earlier, (begun == 0).any(dim=1)).to(self._device)
 
     def _choose(self, observed: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the most likely actions, float32 (B, A), and the LSTM's state after them, float32 (B, R)."""
         network = self._network.actor_critic
-        no_starts = torch.zeros(1, len(observed), dtype=torch.bool, device=self._device)  # zeros are a start, too
+        no_starts = torch.zeros(1, observed.shape[0], dtype=torch.bool, device=self._device)  # zeros are a start, too
         outputs = network(observed[None], no_starts, memory)
         return outputs.actions.mode()[0].float().clamp(*self.spec.action.bounds), outputs.recurrent_state
 

@@ -100,13 +100,40 @@ class TorchPolicy(Policy, Generic[N]):
         seen = self._tensors(frames)
         felt, drawn = (None if each is None else self._tensor(each) for each in (robot_state, draws))
         inputs = StepInputs(seen, self._tensor(goals), self._tensor(previous), self._tensor(recurrent), felt, drawn)
-        output = self._step(inputs)
-        score = self._network.in_distribution
-        familiarity = score(score.distance(image_statistics(seen)), output.confidence)
+        output, familiarity = self.step_tensors(inputs)
         parts = (output.actions, output.reached, output.recurrent, familiarity)
         settled = None if output.settled is None else output.settled.cpu().numpy()
         actions, reached, recurrent, in_distribution = (each.cpu().numpy() for each in parts)
         return PolicyOutput(actions, reached, recurrent, in_distribution, settled)
+
+    def step_tensors(self, inputs: StepInputs) -> tuple[StepOutputs, Tensor]:
+        """Returns the network's output for B observations, and their in-distribution scores, float32 (B,)."""
+        output, score = self._step(inputs), self._network.in_distribution
+        return output, score(score.distance(image_statistics(inputs.frames)), output.confidence)
+
+    @property
+    def network(self) -> N:
+        """The trained network."""
+        return self._network
+
+    def encode_images(self, images: FrameTensors) -> Tensor:
+        """Returns goal embeddings, float32 (N, G), of goal images by camera, uint8 (N, H, W, C).
+
+        Raises TypeError where goals are no images.
+        """
+        raise TypeError(f"goals of this policy are of the form {self.spec.goal_form}; expected images")
+
+    def encode_goals(self, goals: Any) -> npt.NDArray[np.float32]:
+        """Returns goal embeddings, float32 (N, G), of goal images by camera, uint8 (N, H, W, C), some at a time."""
+        count = len(next(iter(goals.values())))
+        batches = [slice(start, start + _ENCODE_BATCH) for start in range(0, count, _ENCODE_BATCH)]
+        with torch.inference_mode():
+            parts = [
+                self.encode_images(self._tensors({name: each[batch] for name, each in goals.items()}))
+                for batch in batches
+            ]
+            codes: npt.NDArray[np.float32] = torch.cat(parts).cpu().numpy()
+        return codes
 
     @abstractmethod
     def _step(self, inputs: StepInputs) -> StepOutputs:
@@ -118,15 +145,6 @@ class TorchPolicy(Policy, Generic[N]):
 
     def _tensors(self, frames: CameraFrames) -> FrameTensors:
         return {camera: self._tensor(each) for camera, each in frames.items()}
-
-    @torch.inference_mode()
-    def _encode_images(self, encode: Callable[[FrameTensors], Tensor], images: CameraFrames) -> npt.NDArray[np.float32]:
-        """Returns the codes of images by camera, uint8 (N, H, W, C), some at a time: float32 (N, code size)."""
-        count = len(next(iter(images.values())))
-        batches = [slice(start, start + _ENCODE_BATCH) for start in range(0, count, _ENCODE_BATCH)]
-        parts = [encode(self._tensors({name: each[batch] for name, each in images.items()})) for batch in batches]
-        codes: npt.NDArray[np.float32] = torch.cat(parts).cpu().numpy()
-        return codes
 
 
 def loader(policy: Callable[[N, ControlSpec], P], spec: type[C], network: Callable[[C], N]) -> Callable[[Path, str], P]:

@@ -32,6 +32,7 @@ from freerein.data import (
 )
 from freerein.data.label_segments import read_label_segments, to_csv
 from freerein.data.lerobot_export import export_labels
+from freerein.data.lerobot_folder import export_lerobot
 from freerein.errors import InvalidInput, NotFound, must_be, quoted
 from freerein.jobs import wall_clock
 from freerein.jobs.in_use import check_unused, names_dataset
@@ -284,6 +285,10 @@ def prune(as_json: AsJson = False) -> None:
 def export(
     name: _Name,
     *,
+    to: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write the dataset, a LeRobotDataset v3, to this folder, new or empty."),
+    ] = None,
     lerobot: Annotated[
         Path | None,
         typer.Option(metavar="ORIGINAL", help="Write into the LeRobotDataset v3 that it was imported from."),
@@ -297,26 +302,38 @@ def export(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write the labels of `freerein segment NAME --save` where other programs read them.
+    """Write a dataset, or the labels of `freerein segment NAME --save`, where other programs read them.
 
-    In a LeRobotDataset they become rows of style `subtask` in `language_persistent`, and the stages that SARM reads;
-    its images, actions and all else stay as they are.
+    With --to it is the dataset: frames, actions, goal texts. The other forms are its labels: in a LeRobotDataset they
+    become rows of style `subtask` in `language_persistent`, and the stages that SARM reads; its images, actions and all
+    else stay as they are.
     """
     written = {form: path for form, path in (("lerobot", lerobot), ("csv", csv), ("vtt", vtt)) if path}
-    if not written:
-        hint = "Write --lerobot ORIGINAL, --csv FILE or --vtt FOLDER."
+    if not written and not to:
+        hint = "Write --to DIR for the dataset, or --lerobot ORIGINAL, --csv FILE or --vtt FOLDER for its labels."
         raise must_be("A form", "chosen", "none", field="lerobot", hint=hint)
     root = dataset_root(name)
+    if to is not None:
+        count = export_lerobot(root, to)
+        if as_json:
+            print_json({"dataset": name, "to": str(to), "trajectories": count})
+        else:
+            typer.echo(f"{count} trajectories of {name} are in {to}, which LeRobot opens.")
+    if written:
+        _export_labels(name, root, written, replaces=replace, as_json=as_json)
+
+
+def _export_labels(name: str, root: Path, written: Mapping[str, Path], *, replaces: bool, as_json: bool) -> None:
     dataset = Dataset(root)
     segments, fps = read_label_segments(root, dataset), dataset.spec.fps
-    if lerobot is not None:
-        export_labels(root, lerobot, replaces=replace)
-    if csv is not None:
-        write_atomic(csv, to_csv(segments).encode())
-    if vtt is not None:
+    if "lerobot" in written:
+        export_labels(root, written["lerobot"], replaces=replaces)
+    if "csv" in written:
+        write_atomic(written["csv"], to_csv(segments).encode())
+    if "vtt" in written:
         for index, some in enumerate(segments):
             cues = ((each.start / fps, each.end / fps, each.skill) for each in some if each.skill)
-            write_atomic(vtt / f"trajectory-{index:03}.vtt", webvtt(cues).encode())
+            write_atomic(written["vtt"] / f"trajectory-{index:03}.vtt", webvtt(cues).encode())
     if as_json:
         print_json({"dataset": name, **{form: str(path) for form, path in written.items()}})
     else:

@@ -1,6 +1,8 @@
 """`freerein models`: the models of the learned services, and the version of each that is active."""
 
 from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -9,11 +11,15 @@ from freerein import wire
 from freerein.cli.commands.jobs import find
 from freerein.cli.connection import call, call_each, check_all_answer, check_only_unavailable
 from freerein.cli.output import AsJson, command, print_json
+from freerein.cli.settings import CliSettings
 from freerein.cli.tables import show_all
 from freerein.cli.times import ago
 from freerein.clients import ImitationClient, ModelClient
-from freerein.errors import InvalidInput, NotFound
+from freerein.errors import InvalidInput, NotFound, quoted
 from freerein.jobs import wall_clock
+from freerein.model_store import CLONE_MODELS, ModelStore
+from freerein.stack import choose
+from freerein.types.common import ModelRef, check_name
 from freerein.types.imitation import PublishPolicyRequest
 from freerein.types.learning import ActivateModelRequest, DeleteModelRequest, ListModelsRequest, Model
 
@@ -90,6 +96,52 @@ def publish(
     ref = call(ImitationClient, "imitation", lambda client: client.publish_policy(request)).model
     found = call(ModelClient, "imitation", lambda client: client.list_models(ListModelsRequest())).models
     _show([("imitation", model) for model in found if model.ref == ref], as_json=as_json)
+
+
+@app.command()
+@command
+def export(
+    name: Annotated[
+        str,
+        typer.Argument(metavar="NAME[@VERSION]", help="Model of the imitation service, or stored policy of ppo."),
+    ],
+    *,
+    to: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write, new or empty.")],
+    run: Annotated[bool, typer.Option("--run", help="NAME is the id of a ppo run that succeeded.")] = False,
+    goal_text: Annotated[
+        list[str] | None, typer.Option(metavar="TEXT", help="Further goal of a policy that follows texts; repeatable.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a policy as a folder for other programs: weights, card, an ONNX graph, and how to run it.
+
+    Needs no service, but the files of the model: the data directory. Takes half a minute.
+    """
+    settings = CliSettings()
+    if run:
+        name = find(name, "orchestrator")[1]
+        source, data = settings.data_dir / "runs" / name / "artifacts", f"ppo run {name}"
+    else:
+        source, data = _policy_folder(settings, *name.partition("@")[::2]), f"stored policy {name}"
+    exporter = import_module(f"{choose(['imitation'])['imitation']}.export")
+    exporter.export_policy(source, to, data=data, goal_texts=goal_text or ())
+    print_json({"folder": str(to)}) if as_json else typer.echo(f"{name} is in {to}; its README.txt says how to run it.")
+
+
+def _policy_folder(settings: CliSettings, name: str, version: str) -> Path:
+    """Returns the folder of a model of the imitation service, or of a stored policy; by default the active version."""
+    check_name(name, field="name")
+    for service in ("imitation", "orchestrator"):
+        shipped = (settings.shipped_dir or CLONE_MODELS) / service
+        store = ModelStore(settings.data_dir / "models" / service, shipped)
+        if name in store.names() and (chosen := version or store.active_version(name)):
+            return store.folder(ModelRef(name, chosen))
+    raise NotFound(
+        f"The policy must be a model of the imitation service, or a stored policy of ppo; {quoted(name)} is none that "
+        "is active.",
+        field="name",
+        hint="`freerein models list --service imitation` names the models. With --run NAME is the id of a ppo run.",
+    )
 
 
 def _owner(name: str, version: str) -> str:

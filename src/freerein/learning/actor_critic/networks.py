@@ -201,7 +201,7 @@ class ActorCritic(nn.Module):
     def earlier_frames(self, observations: Tensor) -> Tensor:
         """Returns what the next observation stacks of the last one, (N, *earlier_shape), given those of `observe`."""
         if self.spec.frame_stack == 1:
-            shape = (len(observations), *self.spec.earlier_shape)
+            shape = (observations.shape[0], *self.spec.earlier_shape)
             return torch.zeros(shape, dtype=torch.uint8, device=observations.device)
         return observations[..., -self.spec.earlier_shape[-1] :]
 
@@ -240,7 +240,7 @@ def _run_lstm(lstm: nn.LSTM, features: Tensor, starts: Tensor, state: Tensor) ->
     Consecutive timesteps without an episode start share one call.
     """
     hidden, cell = state[None].chunk(2, dim=-1)  # (1, B, hidden) each
-    splits = (starts[1:].any(dim=1).nonzero()[:, 0] + 1).tolist()
+    splits = (starts[1:].any(dim=1).nonzero()[:, 0] + 1).tolist() if len(starts) > 1 else []
     outputs = []
     for begin, end in pairwise([0, *splits, len(starts)]):
         keep = (~starts[begin]).float()[None, :, None]  # (1, B, 1)

@@ -84,7 +84,7 @@ class SharedEye(nn.Module):
         """
         count = len(self.spec.phrases)
         body, places, presence = torch.split(seen, [self.spec.action_size, 2 * count, count], dim=1)
-        rows = torch.arange(len(seen), device=seen.device)[:, None]
+        rows = torch.arange(seen.shape[0], device=seen.device)[:, None]
         return self.eye.features(body, places.view(-1, count, 2)[rows, pairs], presence[rows, pairs])
 
 

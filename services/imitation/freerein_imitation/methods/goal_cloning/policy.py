@@ -3,10 +3,12 @@
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
+from freerein.learning.encoders import FrameTensors
 from freerein_imitation.methods.goal_cloning.network import GoalCloningNetwork
 from freerein_imitation.methods.shared import action_bins
-from freerein_imitation.model.policy import CameraFrames, ControlSpec
+from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.torch_policy import StepInputs, StepOutputs, TorchPolicy, confidence
 
 
@@ -19,9 +21,10 @@ class GoalCloningPolicy(TorchPolicy[GoalCloningNetwork]):
     def __init__(self, network: GoalCloningNetwork, control: ControlSpec) -> None:
         super().__init__(network, control, goal_form="images", recurrent_size=network.encoder.size)
 
-    def encode_goals(self, goals: CameraFrames) -> npt.NDArray[np.float32]:
+    def encode_images(self, images: FrameTensors) -> Tensor:
         """Returns features of goal images, float32 (N, D), by camera, uint8 (N, H, W, C)."""
-        return self._encode_images(self._network.encoder, goals)
+        features: Tensor = self._network.encoder(images)
+        return features
 
     def skip_steps(self, recurrent: npt.NDArray[np.float32], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
         """Returns recurrent states after control steps without an observation; see `Policy`."""

@@ -87,12 +87,12 @@ class Memory:
         rates, features, actions, skill, ended, weights, sums = torch.split(flat, list(sizes.parts), dim=1)
         return cls(
             rates.clamp(0, 1),
-            features.reshape(len(flat), sizes.frames, sizes.features),
-            actions.reshape(len(flat), sizes.actions, sizes.action_size),
+            features.reshape(flat.shape[0], sizes.frames, sizes.features),
+            actions.reshape(flat.shape[0], sizes.actions, sizes.action_size),
             skill[:, 0],
             ended[:, 0].clamp(0, 1),
-            weights.clamp(0, 1 / (1 - _DECAY)),
-            sums.reshape(len(flat), sizes.chunk, sizes.outputs),
+            weights.clamp(0.0, 1 / (1 - _DECAY)),
+            sums.reshape(flat.shape[0], sizes.chunk, sizes.outputs),
         )
 
     def flat(self) -> Tensor:

@@ -177,7 +177,7 @@ class SkillCloningNetwork(PolicyNetwork):
         for layer, film in zip(self.layers, self.film, strict=True):
             scale, shift = film(skill).chunk(2, dim=1)
             x = functional.relu(layer(x) * (1 + scale) + shift)
-        chunk: Tensor = self.chunk_head(x).view(len(x), self.spec.chunk, -1)
+        chunk: Tensor = self.chunk_head(x).unflatten(1, (self.spec.chunk, -1))
         return chunk, self.termination_head(x)[:, 0]
 
     def encode_actions(self, actions: Tensor) -> Tensor:

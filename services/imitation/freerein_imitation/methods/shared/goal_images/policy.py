@@ -1,10 +1,10 @@
 """The policy around a network that follows goal images."""
 
-import numpy as np
-import numpy.typing as npt
+from torch import Tensor
 
+from freerein.learning.encoders import FrameTensors
 from freerein_imitation.methods.shared.goal_images.network import GoalImagesNetwork
-from freerein_imitation.model.policy import CameraFrames, ControlSpec
+from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.torch_policy import StepInputs, StepOutputs, TorchPolicy, confidence
 
 
@@ -20,9 +20,10 @@ class GoalImagesPolicy(TorchPolicy[GoalImagesNetwork]):
         draws = policy.action_head.draws if is_sampled else 0
         super().__init__(network, control, goal_form="images", recurrent_size=policy.recurrent_size, draws=draws)
 
-    def encode_goals(self, goals: CameraFrames) -> npt.NDArray[np.float32]:
+    def encode_images(self, images: FrameTensors) -> Tensor:
         """Returns goal embeddings, float32 (N, G), of goal images by camera, uint8 (N, H, W, C)."""
-        return self._encode_images(self._network, goals)
+        embeddings: Tensor = self._network(images)
+        return embeddings
 
     def _step(self, inputs: StepInputs) -> StepOutputs:
         policy, codes, goals = self._network.policy, self._network(inputs.frames), inputs.goals
