@@ -11,7 +11,7 @@ from experiments.robustness import (
     confidence,
     draw,
     made_claims,
-    reward,
+    reward_model,
     scenes,
     segmentation,
     targets,
@@ -71,7 +71,7 @@ def test_learners_see_no_labels_and_the_tags_are_those_of_the_labels() -> None:
 
 def test_training_and_test_data_have_different_seeds() -> None:
     held_out = {spec.seed for spec in (*segmentation.test_specs().values(), *scenes.scene_specs().values())}
-    assert not held_out & {segmentation.TRAINING.seed, reward.TRAINING.seed}
+    assert not held_out & {segmentation.TRAINING.seed, reward_model.TRAINING.seed}
 
 
 def test_what_is_drawn_is_found_by_its_spec_its_kind_and_its_task(tmp_path: Path) -> None:
