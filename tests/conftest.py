@@ -321,6 +321,8 @@ def encode_video() -> Callable[..., bytes]:
             stream = muxer.add_stream(codec, rate=fps)
             stream.height, stream.width = frames.shape[1:3]
             stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+            if codec == "libsvtav1":  # with more threads it has come to a deadlock
+                stream.options = {"svtav1-params": "lp=1"}
             for pixels in frames:
                 muxer.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
             muxer.mux(stream.encode())
