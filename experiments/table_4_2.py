@@ -4,14 +4,16 @@ Students of the same 18 teachers, which ship. Three seeds each, 50 episodes a ta
 """
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from experiments.chapter4 import one_policy_report
 from experiments.chapter4.shipped_teachers import shipped_teachers
 from experiments.chapter4.students import (
     DATASET,
     DISSERTATION,
+    IN_SCENES,
     OURS,
     RANDOM,
     SCENES,
@@ -21,11 +23,12 @@ from experiments.chapter4.students import (
     evaluations_in,
     figures,
     samples,
+    samples_in_scenes,
 )
 from experiments.chapter4.unseen_colour import check_unseen, scanned
 from experiments.workbench.arms import Arm, Experiment
 from experiments.workbench.configs import Config
-from experiments.workbench.pipelines import Step, link_folder, run_pipeline
+from experiments.workbench.pipelines import Step, Trials, link_folder, run_pipeline
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.data import dataset_path
@@ -40,17 +43,18 @@ class OnePolicy(Experiment):
 
     @property
     def arms(self) -> tuple[Arm, ...]:
-        """Random actions, then all students of a seed."""
+        """Random actions, then all students of a seed, then ours in other scenes."""
         return (
             Arm(_WORLD, RANDOM),
             *(Arm(_WORLD, method, {_TEXT: how}, seed) for seed in range(_SEEDS) for method, how in _ROWS),
+            *(Arm(_WORLD, IN_SCENES, {_TEXT: "text"}, seed) for seed in range(_SEEDS)),
         )
 
     def config(self, arm: Arm) -> Config:
-        """Returns the teachers of a student, and the steps of the arm's pipeline."""
+        """Returns the teachers of a student, and the steps of the arm's pipeline; the scenes where it has some."""
         teachers = () if arm.method == RANDOM else shipped_teachers()
-        steps = {"steps": list(_steps(arm)), "scenes": list(_scenes(arm))}
-        return {"version": _VERSION, "teachers": list(teachers), **steps}
+        scenes = {"scenes": list(SCENES)} if arm.method == IN_SCENES else {}
+        return {"version": _VERSION, "teachers": list(teachers), "steps": list(_steps(arm)), **scenes}
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
@@ -63,14 +67,11 @@ class OnePolicy(Experiment):
         if is_taught:
             check_unseen(dataset_path(folder / "data", DATASET), folder)
         shutil.rmtree(folder / "data" / "datasets", ignore_errors=True)
-        for scene in _scenes(arm):
-            link_folder(folder / "data" / "models", folder / scene / "data" / "models")
-            shown = run_pipeline([*evaluations_in(scene)], folder / scene, on_progress)
-            if shown is None:
-                return None
-            trials = {**trials, **shown}
         found = {f"scanned.{name}": value for name, value in scanned(folder).items()} if is_taught else {}
-        return Outcome(dict(figures(trials)) | found, dict(samples(trials)))
+        if arm.method != IN_SCENES:
+            return Outcome(dict(figures(trials)) | found, dict(samples(trials)))
+        shown = _in_scenes(folder, on_progress)
+        return None if shown is None else Outcome(found, dict(samples_in_scenes(shown)))
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the table of the arms that have results."""
@@ -86,12 +87,23 @@ def _random() -> Iterator[Step]:
 
 
 def _taught(arm: Arm) -> Iterator[Step]:
-    yield distil(arm.method, arm.options[_TEXT], arm.seed)
-    yield from evaluations({"run": STUDENT})
+    if arm.method == IN_SCENES:
+        yield distil(OURS, arm.options[_TEXT], arm.seed)
+    else:
+        yield distil(arm.method, arm.options[_TEXT], arm.seed)
+        yield from evaluations({"run": STUDENT})
 
 
-def _scenes(arm: Arm) -> tuple[str, ...]:
-    return SCENES if (arm.method, arm.options.get(_TEXT)) == (OURS, "text") else ()
+def _in_scenes(folder: Path, on_progress: Callable[[], None]) -> Trials | None:
+    """Evaluates the student of an arm in all scenes, each a pipeline of its own: one of all would be too long."""
+    trials: dict[str, Sequence[Mapping[str, Any]]] = {}
+    for scene in SCENES:
+        link_folder(folder / "data" / "models", folder / scene / "data" / "models")
+        shown = run_pipeline([*evaluations_in(scene)], folder / scene, on_progress)
+        if shown is None:
+            return None
+        trials |= shown
+    return trials
 
 
 EXPERIMENT = OnePolicy()

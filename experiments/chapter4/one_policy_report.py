@@ -7,7 +7,7 @@ from itertools import chain
 from statistics import mean
 from typing import Any
 
-from experiments.chapter4.students import DISSERTATION, LIGHTS, ORDERS, OURS, POINTS, RANDOM, RETURN, SCENES
+from experiments.chapter4.students import DISSERTATION, IN_SCENES, LIGHTS, ORDERS, OURS, POINTS, RANDOM, RETURN, SCENES
 from experiments.chapter4.tasks import PARTS, TASK_SETS, TEST
 from experiments.teachers import SEEN, STARTS
 from experiments.workbench import claims
@@ -60,7 +60,11 @@ def table(results: Sequence[ArmResult]) -> Table:
             Section(_header("% of the expert"), tuple(_rows(students, RETURN, _PER_CENT)), "Share of the expert"),
             Section(_header("points"), (*_dissertation(), *_rows(students, POINTS, 1)), "Points, of 100 timesteps"),
             Section(_header("% of the expert"), tuple(_rows_by_order(students)), "By the order at the start"),
-            Section(_header("% of the expert"), tuple(map(_row_of_student, results)), "Every student"),
+            Section(
+                _header("% of the expert"),
+                tuple(_rows_of_students(students)),
+                "Every student",
+            ),
             Section(("tasks", *SCENES), tuple(_rows_by_scene(students)), _BY_SCENE),
             Section(("task", *(f"{starts} starts, %" for starts in STARTS)), tuple(_rows_by_task(students)), _BY_TASK),
         ),
@@ -76,18 +80,22 @@ def _students(results: Sequence[ArmResult]) -> Students:
     return found
 
 
+def _in_nominal_scenes(students: Students) -> Iterator[tuple[tuple[str, str], list[ArmResult]]]:
+    return ((row, arms) for row, arms in students.items() if row[0] != IN_SCENES)
+
+
 def _claims(students: Students) -> Iterator[Claim]:
     """Yields returns of every student, and by how much a text is more than a code, and than nothing, on test tasks."""
     for (method, how), arms in students.items():
-        if method == RANDOM:
+        if method in (RANDOM, IN_SCENES):
             continue
         for part in PARTS:
             yield _return_claim(students, method, how, part, arms)
             yield _points_claim(method, how, part, arms)
     text = students.get((OURS, "text"), [])
     compared = [_difference(text, students.get((OURS, how), []), how) for how in ("code", "none")]
-    if text:
-        yield _light_claim(text)
+    if text and (shown := students.get((IN_SCENES, "text"), [])):
+        yield _light_claim(text, shown)
     found = [each for each in compared if each is not None]
     yield from found
     if len(found) == len(compared):
@@ -136,30 +144,29 @@ def _points_claim(method: str, how: str, part: str, arms: Sequence[ArmResult]) -
     )
 
 
-def _light_claim(text: Sequence[ArmResult]) -> Claim:
+def _light_claim(text: Sequence[ArmResult], in_scenes: Sequence[ArmResult]) -> Claim:
     """Returns the claim of the worst light, over the sets of tasks, in seen starts."""
-    values = {(tasks, light): _of_nominal(text, tasks, light) for tasks in TASK_SETS for light in LIGHTS}
+    values = {(tasks, light): _of_nominal(text, in_scenes, tasks, light) for tasks in TASK_SETS for light in LIGHTS}
     tasks, light = min(values, key=lambda scene: values[scene])
-    shown, nominal = (_samples(text, f"{tasks}.{each}", RETURN) for each in (light, SEEN))
+    shown, nominal = _samples(in_scenes, f"{tasks}.{light}", RETURN), _samples(text, f"{tasks}.{SEEN}", RETURN)
     low, high = claims.ratio_interval(shown, nominal)
     value = _PER_CENT * values[tasks, light]
     made = claims.claim_of(
         "policy_light",
-        text,
+        in_scenes,
         shown,
         unit=_PER_CENT,
-        seeds=len(text),
+        seeds=len(in_scenes),
         target=_LEAST_IN_LIGHT,
-        met=len(text) == _SEEDS and value >= _LEAST_IN_LIGHT,
+        met=len(in_scenes) == _SEEDS and value >= _LEAST_IN_LIGHT,
         command=_COMMAND,
     )
     return replace(made, value=round(value, 3), low=round(_PER_CENT * low, 3), high=round(_PER_CENT * high, 3))
 
 
-def _of_nominal(text: Sequence[ArmResult], tasks: str, scene: str) -> float:
-    return claims.mean(_samples(text, f"{tasks}.{scene}", RETURN)) / claims.mean(
-        _samples(text, f"{tasks}.{SEEN}", RETURN)
-    )
+def _of_nominal(text: Sequence[ArmResult], in_scenes: Sequence[ArmResult], tasks: str, scene: str) -> float:
+    shown, nominal = _samples(in_scenes, f"{tasks}.{scene}", RETURN), _samples(text, f"{tasks}.{SEEN}", RETURN)
+    return claims.mean(shown) / claims.mean(nominal)
 
 
 def _difference(text: Sequence[ArmResult], others: Sequence[ArmResult], how: str) -> Claim | None:
@@ -187,26 +194,27 @@ def _header(unit: str) -> tuple[str, ...]:
 
 
 def _rows(students: Students, figure: str, unit: float) -> Iterator[tuple[str, ...]]:
-    for (method, how), arms in students.items():
+    for (method, how), arms in _in_nominal_scenes(students):
         yield method, how, str(len(arms)), *(_cell(_samples(arms, part, figure), unit) for part in PARTS)
 
 
 def _rows_by_order(students: Students) -> Iterator[tuple[str, ...]]:
-    for (method, how), arms in students.items():
+    for (method, how), arms in _in_nominal_scenes(students):
         for order in ORDERS:
             cells = (_cell(_samples(arms, f"{part}.{order}", RETURN), _PER_CENT) for part in PARTS)
             yield f"{method}, {order.replace('-', ' ')}", how, str(len(arms)), *cells
 
 
-def _row_of_student(result: ArmResult) -> tuple[str, ...]:
-    cells = (_cell(_samples([result], part, RETURN), _PER_CENT) for part in PARTS)
-    return result.method, result.options.get("conditioning", ""), f"seed {result.seed}", *cells
+def _rows_of_students(students: Students) -> Iterator[tuple[str, ...]]:
+    for (method, how), arms in _in_nominal_scenes(students):
+        for arm in arms:
+            yield method, how, f"seed {arm.seed}", *(_cell(_samples([arm], part, RETURN), _PER_CENT) for part in PARTS)
 
 
 def _rows_by_scene(students: Students) -> Iterator[tuple[str, ...]]:
-    text = students.get((OURS, "text"), [])
-    for tasks in TASK_SETS if text else ():
-        yield tasks, *(f"{_PER_CENT * _of_nominal(text, tasks, scene):.1f}" for scene in SCENES)
+    text, in_scenes = (students.get((method, "text"), []) for method in (OURS, IN_SCENES))
+    for tasks in TASK_SETS if text and in_scenes else ():
+        yield tasks, *(f"{_PER_CENT * _of_nominal(text, in_scenes, tasks, scene):.1f}" for scene in SCENES)
 
 
 def _rows_by_task(students: Students) -> Iterator[tuple[str, ...]]:

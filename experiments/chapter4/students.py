@@ -15,7 +15,7 @@ from experiments.teachers import SEEN, STARTS, TASKS
 from experiments.workbench.pipelines import Step, Trials, step
 from experiments.workbench.results import Sample
 
-OURS, DISSERTATION, RANDOM = "ours", "dissertation", "random"
+OURS, DISSERTATION, RANDOM, IN_SCENES = "ours", "dissertation", "random", "ours_in_scenes"
 DATASET, STUDENT, _MODEL = "rollouts", "student", "student"
 ROLLOUTS = 50
 """Of each teacher's task, in all iterations together."""
@@ -25,7 +25,7 @@ ORDERS: Mapping[str, bool] = MappingProxyType({"in-order": True, "wrong-order": 
 _IN_ORDER = "start/in-order"
 LIGHTS = ("light-0.6", "light-0.8", "light-1.2", "light-1.4", "warm", "cool")
 SCENES = (*LIGHTS, "camera-5cm", "blocks-3")
-"""Conditions under which our students that are told a text are evaluated in all tasks, too."""
+"""Conditions under which ours, told a text, is evaluated in all tasks: arms of their own, `IN_SCENES`."""
 
 _EPISODES, _EPISODES_OF_SCENE, _MOST_ENVS = 50, 10, 25
 
@@ -126,7 +126,11 @@ def samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
         yield from _samples(part, episodes)
         for order, holds in ORDERS.items():
             yield from _samples(f"{part}.{order}", [each for each in episodes if each["starts"][_IN_ORDER] is holds])
-    for part in dict.fromkeys(each.part for each in _CELLS_OF_SCENES if each.step in trials):
+
+
+def samples_in_scenes(trials: Trials) -> Iterator[tuple[str, Sample]]:
+    """Yields returns as a share of the expert's in the same episodes, by scene and set of tasks."""
+    for part in dict.fromkeys(each.part for each in _CELLS_OF_SCENES):
         episodes = [trial for each in _CELLS_OF_SCENES if each.part == part for trial in trials[each.step]]
         yield f"{part}.{RETURN}", _share(episodes)
 

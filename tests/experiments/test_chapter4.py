@@ -1,9 +1,8 @@
 """Chapter 4's experiments: their pipelines, what a student may not have seen, figures from trials, and claims."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import closing
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +46,8 @@ def test_the_orchestrator_takes_the_pipeline_of_every_arm_and_evaluates_on_seeds
         steps = experiment.config(arm)["steps"]
         KINDS["pipeline"].parse({"steps": steps})
         check_json_bytes({"steps": steps}, longest, "config")
+        if arm.method == students.IN_SCENES:
+            steps = [*students.evaluations_in(students.SCENES[0])]
         held_out = {step["config"]["seed"] for step in steps if step["kind"] == "evaluate"}
         assert held_out
         assert arm.seed not in held_out
@@ -110,17 +111,27 @@ def test_gray_walls_and_other_colours_are_not_blue() -> None:
 def student(method: str, how: str, seed: int, share: float) -> ArmResult:
     """Returns the result of a student that earns a share of the expert's 80 points."""
     options = {"conditioning": how} if how else {}
-    scenes = students.SCENES if (method, how) == ("ours", "text") else ()
-    trials = {
-        each["name"]: [
+    trials = episodes(students.evaluations("random"), share)
+    return result(Arm("blocks", method, options, seed), dict(students.samples(trials)), dict(students.figures(trials)))
+
+
+def student_in_scenes(seed: int, share: float) -> ArmResult:
+    """Returns the result of a student that earns a share of the expert's points in other scenes, in the dark less."""
+    trials = dict[str, list[dict[str, Any]]]()
+    for scene in students.SCENES:
+        trials |= episodes(students.evaluations_in(scene), share * (0.6 if scene == "light-0.6" else 1))
+    arm = Arm("blocks", students.IN_SCENES, {"conditioning": "text"}, seed)
+    return result(arm, dict(students.samples_in_scenes(trials)))
+
+
+def episodes(steps: Iterable[Mapping[str, Any]], share: float) -> dict[str, list[dict[str, Any]]]:
+    return {
+        step["name"]: [
             {"episode_return": 80 * share + place, "expert_return": 80.0, "starts": {"start/in-order": place % 2 == 0}}
             for place in range(4)
         ]
-        for each in (*students.evaluations("random"), *chain.from_iterable(map(students.evaluations_in, scenes)))
+        for step in steps
     }
-    for dark in (name for name in trials if "light-0-6" in name):
-        trials[dark] = [{**trial, "episode_return": 0.6 * trial["episode_return"]} for trial in trials[dark]]
-    return result(Arm("blocks", method, options, seed), dict(students.samples(trials)), dict(students.figures(trials)))
 
 
 def result(arm: Arm, samples: Mapping[str, Sample], figures: Mapping[str, float] = {}) -> ArmResult:
@@ -132,7 +143,8 @@ def result(arm: Arm, samples: Mapping[str, Sample], figures: Mapping[str, float]
 def test_a_claim_on_students_needs_three_seeds_and_a_difference_that_is_above_chance_in_the_same_episodes() -> None:
     shares = {("ours", "text"): 0.7, ("ours", "code"): 0.5, ("ours", "none"): 0.3, ("dissertation", "text"): 0.25}
     results = [student(*row, seed, share) for row, share in shares.items() for seed in range(3)]
-    made = one_policy_report.table([*results, student("random", "", 0, 0.0)])
+    in_scenes = [student_in_scenes(seed, 0.7) for seed in range(3)]
+    made = one_policy_report.table([*results, *in_scenes, student("random", "", 0, 0.0)])
     found = {claim.claim: claim for claim in made.claims}
     seen = found["language_train_seen"]
     assert (seen.value, seen.met, seen.seeds, seen.trials) == (
@@ -145,7 +157,7 @@ def test_a_claim_on_students_needs_three_seeds_and_a_difference_that_is_above_ch
     assert found["language_train_seen_points"].dissertation == 29.89
     assert found["conditioning_order"].value == pytest.approx(20, abs=0.01)
     assert found["conditioning_order"].met
-    assert (found["policy_light"].value, found["policy_light"].met) == (pytest.approx(60, abs=0.1), False)
+    assert (found["policy_light"].value, found["policy_light"].met) == (pytest.approx(61, abs=0.2), False)
     assert "dissertation" in table.markdown(made)
 
     fewer = {claim.claim: claim for claim in one_policy_report.table(results[1:]).claims}
