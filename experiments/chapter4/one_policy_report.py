@@ -59,7 +59,9 @@ def table(results: Sequence[ArmResult]) -> Table:
         sections=(
             Section(_header("% of the expert"), tuple(_rows(students, RETURN, _PER_CENT)), "Share of the expert"),
             Section(_header("points"), (*_dissertation(), *_rows(students, POINTS, 1)), "Points, of 100 timesteps"),
-            Section(_header("% of the expert"), tuple(_rows_by_order(students)), "By the order at the start"),
+            Section(
+                _header("% of the expert"), tuple(_rows_by_order(students)), "By the order at the start, left and right"
+            ),
             Section(
                 _header("% of the expert"),
                 tuple(_rows_of_students(students)),

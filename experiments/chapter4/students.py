@@ -119,13 +119,15 @@ def _evaluation(policy: Any, cell: _Cell) -> Step:
 def samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
     """Yields returns as a share of the expert's in the same episodes, and in points; all, and by the starting order.
 
-    A trial is an episode; those of all tasks of a set are together.
+    Tasks of stacking have no order. A trial is an episode; those of all tasks of a set are together.
     """
     for part in PARTS:
         episodes = [trial for each in _CELLS if each.part == part for trial in trials[each.step]]
         yield from _samples(part, episodes)
         for order, holds in ORDERS.items():
-            yield from _samples(f"{part}.{order}", [each for each in episodes if each["starts"][_IN_ORDER] is holds])
+            yield from _samples(
+                f"{part}.{order}", [each for each in episodes if each["starts"].get(_IN_ORDER) is holds]
+            )
 
 
 def samples_in_scenes(trials: Trials) -> Iterator[tuple[str, Sample]]:

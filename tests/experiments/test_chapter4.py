@@ -127,11 +127,15 @@ def student_in_scenes(seed: int, share: float) -> ArmResult:
 def episodes(steps: Iterable[Mapping[str, Any]], share: float) -> dict[str, list[dict[str, Any]]]:
     return {
         step["name"]: [
-            {"episode_return": 80 * share + place, "expert_return": 80.0, "starts": {"start/in-order": place % 2 == 0}}
+            {"episode_return": 80 * share + place, "expert_return": 80.0, "starts": begins(step, place % 2 == 0)}
             for place in range(4)
         ]
         for step in steps
     }
+
+
+def begins(step: Mapping[str, Any], holds: bool) -> dict[str, bool]:
+    return {"start/from-left" if "on-top" in step["config"]["task"] else "start/in-order": holds}
 
 
 def result(arm: Arm, samples: Mapping[str, Sample], figures: Mapping[str, float] = {}) -> ArmResult:
