@@ -67,7 +67,7 @@ def table(results: Sequence[ArmResult]) -> Table:
                 tuple(_rows_of_students(students)),
                 "Every student",
             ),
-            Section(("tasks", *SCENES), tuple(_rows_by_scene(students)), _BY_SCENE),
+            *_scenes(students),
             Section(("task", *(f"{starts} starts, %" for starts in STARTS)), tuple(_rows_by_task(students)), _BY_TASK),
         ),
         claims=made,
@@ -213,10 +213,13 @@ def _rows_of_students(students: Students) -> Iterator[tuple[str, ...]]:
             yield method, how, f"seed {arm.seed}", *(_cell(_samples([arm], part, RETURN), _PER_CENT) for part in PARTS)
 
 
-def _rows_by_scene(students: Students) -> Iterator[tuple[str, ...]]:
+def _scenes(students: Students) -> Iterator[Section]:
     text, in_scenes = (students.get((method, "text"), []) for method in (OURS, IN_SCENES))
-    for tasks in TASK_SETS if text and in_scenes else ():
-        yield tasks, *(f"{_PER_CENT * _of_nominal(text, in_scenes, tasks, scene):.1f}" for scene in SCENES)
+    if text and in_scenes:
+        shown = ([_of_nominal(text, in_scenes, tasks, scene) for scene in SCENES] for tasks in TASK_SETS)
+        rows = zip(TASK_SETS, shown, strict=True)
+        cells = tuple((tasks, *(f"{_PER_CENT * value:.1f}" for value in values)) for tasks, values in rows)
+        yield Section(("tasks", *SCENES), cells, _BY_SCENE)
 
 
 def _rows_by_task(students: Students) -> Iterator[tuple[str, ...]]:
