@@ -4,7 +4,7 @@ Students of the same 18 teachers, which ship. Three seeds each, 50 episodes a ta
 """
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +17,19 @@ from experiments.chapter4.students import (
     OURS,
     RANDOM,
     SCENES,
-    STUDENT,
     distil,
     evaluations,
     evaluations_in,
     figures,
     samples,
     samples_in_scenes,
+    taught,
 )
-from experiments.chapter4.unseen_colour import check_unseen, scanned
+from experiments.chapter4.unseen_colour import check_unseen, is_scanned, scanned
 from experiments.workbench.arms import Arm, Experiment
+from experiments.workbench.cache_paths import cache_path
 from experiments.workbench.configs import Config
+from experiments.workbench.locks import locked
 from experiments.workbench.pipelines import Step, Trials, link_folder, run_pipeline
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
@@ -35,7 +37,7 @@ from freerein.data import dataset_path
 
 _WORLD, _SEEDS, _VERSION = "blocks", 3, 1
 _ROWS = ((OURS, "text"), (OURS, "code"), (OURS, "none"), (DISSERTATION, "text"))
-_TEXT = "conditioning"
+_TEXT, _TASKS = "conditioning", "tasks"
 
 
 class OnePolicy(Experiment):
@@ -59,19 +61,17 @@ class OnePolicy(Experiment):
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
     ) -> Outcome | None:
-        """Distils a student, scans what it has learned from, and evaluates it on true states; see `Experiment`."""
-        is_taught = arm.method != RANDOM
-        trials = run_pipeline(_steps(arm), folder, on_progress, keeps_datasets=True)
+        """Evaluates a student, or random actions, on true states; see `Experiment`."""
+        student = None if arm.method == RANDOM else _student(arm, work, on_progress)
+        if student is None and arm.method != RANDOM:
+            return None
+        found = {f"scanned.{name}": value for name, value in scanned(student).items()} if student else {}
+        trials = _trials(_pipelines(arm), student, folder, on_progress)
         if trials is None:
             return None
-        if is_taught:
-            check_unseen(dataset_path(folder / "data", DATASET), folder)
-        shutil.rmtree(folder / "data" / "datasets", ignore_errors=True)
-        found = {f"scanned.{name}": value for name, value in scanned(folder).items()} if is_taught else {}
-        if arm.method != IN_SCENES:
-            return Outcome(dict(figures(trials)) | found, dict(samples(trials)))
-        shown = _in_scenes(folder, on_progress)
-        return None if shown is None else Outcome(found, dict(samples_in_scenes(shown)))
+        if arm.method == IN_SCENES:
+            return Outcome(found, dict(samples_in_scenes(trials)))
+        return Outcome(dict(figures(trials)) | found, dict(samples(trials)))
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the table of the arms that have results."""
@@ -79,27 +79,45 @@ class OnePolicy(Experiment):
 
 
 def _steps(arm: Arm) -> list[Step]:
-    return list(_random() if arm.method == RANDOM else _taught(arm))
+    """Returns the step that distils the student of an arm, and those that evaluate it; scenes have theirs beside."""
+    taught = [] if arm.method == RANDOM else [_distil(arm)]
+    return taught if arm.method == IN_SCENES else [*taught, *_pipelines(arm)[_TASKS]]
 
 
-def _random() -> Iterator[Step]:
-    return evaluations(RANDOM)
+def _distil(arm: Arm) -> Step:
+    return distil(OURS if arm.method == IN_SCENES else arm.method, arm.options[_TEXT], arm.seed)
 
 
-def _taught(arm: Arm) -> Iterator[Step]:
+def _pipelines(arm: Arm) -> dict[str, list[Step]]:
+    """Returns the evaluations of an arm by the names of their pipelines: one of all scenes would be too long."""
     if arm.method == IN_SCENES:
-        yield distil(OURS, arm.options[_TEXT], arm.seed)
-    else:
-        yield distil(arm.method, arm.options[_TEXT], arm.seed)
-        yield from evaluations({"run": STUDENT})
+        return {scene: [*evaluations_in(scene)] for scene in SCENES}
+    return {_TASKS: [*evaluations(RANDOM if arm.method == RANDOM else taught())]}
 
 
-def _in_scenes(folder: Path, on_progress: Callable[[], None]) -> Trials | None:
-    """Evaluates the student of an arm in all scenes, each a pipeline of its own: one of all would be too long."""
+def _student(arm: Arm, work: Path, on_progress: Callable[[], None]) -> Path | None:
+    """Distils a student, once for all its arms, and scans what it has learned from; returns the folder."""
+    made_by: Config = {"version": _VERSION, "teachers": list(shipped_teachers()), "step": _distil(arm)}
+    folder = cache_path(work / "students", made_by)
+    with locked(folder / "lock"):
+        if is_scanned(folder):
+            return folder
+        if run_pipeline([_distil(arm)], folder, on_progress, keeps_datasets=True) is None:
+            return None
+        check_unseen(dataset_path(folder / "data", DATASET), folder)
+        shutil.rmtree(folder / "data" / "datasets")
+        return folder
+
+
+def _trials(
+    pipelines: Mapping[str, Sequence[Step]], student: Path | None, folder: Path, on_progress: Callable[[], None]
+) -> Trials | None:
+    """Runs evaluations by pipeline, each in a folder of its own; returns all trials, None when one was stopped."""
     trials: dict[str, Sequence[Mapping[str, Any]]] = {}
-    for scene in SCENES:
-        link_folder(folder / "data" / "models", folder / scene / "data" / "models")
-        shown = run_pipeline([*evaluations_in(scene)], folder / scene, on_progress)
+    for name, steps in pipelines.items():
+        if student:
+            link_folder(student / "data" / "models", folder / name / "data" / "models")
+        shown = run_pipeline(steps, folder / name, on_progress)
         if shown is None:
             return None
         trials |= shown

@@ -1,6 +1,6 @@
 """Students of the 18 teachers: how each is distilled, what it is evaluated in, and what it earns there.
 
-<folder>/unseen.json   what a scan of the whole dataset found in the colour of the test tasks
+<student>/unseen.json   what a scan of the whole dataset found in the colour of the test tasks
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +16,7 @@ from experiments.workbench.pipelines import Step, Trials, step
 from experiments.workbench.results import Sample
 
 OURS, DISSERTATION, RANDOM, IN_SCENES = "ours", "dissertation", "random", "ours_in_scenes"
-DATASET, STUDENT, _MODEL = "rollouts", "student", "student"
+DATASET, _STUDENT = "rollouts", "student"
 ROLLOUTS = 50
 """Of each teacher's task, in all iterations together."""
 
@@ -56,14 +56,14 @@ def distil(method: str, conditioning: str, seed: int) -> Step:
     iterations = _ITERATIONS[method]
     rollouts = ROLLOUTS // iterations
     return step(
-        STUDENT,
+        _STUDENT,
         "distill",
         teachers=list(TASKS),
         rollouts=rollouts,
         dagger_iterations=iterations - 1,
         num_envs=min(_MOST_ENVS, rollouts),
         dataset=DATASET,
-        model_name=_MODEL,
+        model_name=_STUDENT,
         seed=seed,
         config={**_FITS[method], "conditioning": conditioning, "reached_weight": 0.0, "seed": seed},
     )
@@ -106,10 +106,15 @@ def evaluations(policy: Any) -> Iterator[Step]:
     return map(partial(_evaluation, policy), _CELLS)
 
 
+def taught() -> dict[str, str]:
+    """Returns the policy that was distilled last."""
+    return {"model": _STUDENT}
+
+
 def evaluations_in(scene: str) -> Iterator[Step]:
     """Yields the steps that evaluate the student that was stored last in every task, from seen starts in a scene."""
     cells = (each for each in _CELLS_OF_SCENES if each.conditions["conditions"] == [scene])
-    return map(partial(_evaluation, {"model": _MODEL}), cells)
+    return map(partial(_evaluation, taught()), cells)
 
 
 def _evaluation(policy: Any, cell: _Cell) -> Step:

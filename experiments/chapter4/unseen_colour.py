@@ -26,16 +26,16 @@ def blue_pixels(frames: npt.NDArray[np.uint8]) -> int:
 
 
 def check_unseen(root: Path, folder: Path) -> None:
-    """Scans a whole dataset, once: the result lies in the arm's folder.
+    """Scans a whole dataset, once.
 
     Args:
         root: Folder of the dataset.
-        folder: The arm's.
+        folder: Where the result lies.
 
     Raises:
         FailedPrecondition: A frame shows the colour, or a goal text names it.
     """
-    if not (folder / _FILE).is_file():
+    if not is_scanned(folder):
         dataset = Dataset(root)
         pixels = sum(blue_pixels(each) for trajectory in dataset for each in trajectory.frames.values())
         texts = sum(TEST_COLOUR in text for text in dataset.goal_texts)
@@ -48,6 +48,11 @@ def check_unseen(root: Path, folder: Path) -> None:
             f"{found['texts']:.0f} texts are.",
             hint="Take teachers of the training tasks alone.",
         )
+
+
+def is_scanned(folder: Path) -> bool:
+    """Returns whether a scan has been made."""
+    return (folder / _FILE).is_file()
 
 
 def scanned(folder: Path) -> dict[str, float]:
