@@ -18,7 +18,9 @@ VIDEO = "policy.mp4"
 MAX_FRAMES, _MAX_BYTES = 300, 2**28
 HEIGHT = 256
 _LEAST_FPS, _MOST_FPS = 1.0, 240.0
-_CODEC = "libx264"
+_CODEC, _PRESET = "libx264", "veryfast"
+"""Half the CPU time of the codec's default, for a file a sixth larger."""
+
 _MISSING = f"{VIDEO} is left out: it needs PyAV, which is not installed. pip install 'freerein[video]'"
 
 
@@ -62,7 +64,7 @@ def _mp4(frames: npt.NDArray[np.uint8], fps: Fraction) -> bytes:
 
     file = io.BytesIO()
     with av.open(file, "w", format="mp4") as container:
-        stream: Any = container.add_stream(_CODEC, rate=fps)
+        stream: Any = container.add_stream(_CODEC, rate=fps, options={"preset": _PRESET})
         stream.height, stream.width, _ = _enlarged(frames[0]).shape
         stream.pix_fmt = "yuv420p"  # which browsers show
         for frame in frames:
