@@ -1,34 +1,41 @@
 """The rows of tables 3.3 and A.2 in `doom`, one configuration each, and random search of table 3.1.
 
 All arms share their data and one goal recognizer, which a first pipeline makes once for all: it is fitted to the data
-of curiosity, as in the dissertation. An arm fits its policy to the data of one exploration, and follows demonstrations
-in the training map and in the one that chooses between configurations, A with textures V1.
+of curiosity, as in the dissertation. A policy is fitted to the data of one exploration, once for two arms: one follows
+demonstrations in the training map and in the one that chooses between greedy and sampled actions, A with textures V1;
+the other in those of the tests.
 """
 
 import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from experiments.chapter3 import followed_report
+from experiments.chapter3.followed import (
+    ACTING,
+    CEILINGS,
+    CHOICE,
+    EXPERT,
+    GREEDY,
+    RANDOM_SEARCH,
+    SETTINGS,
+    TEST,
+    TRUE_SWITCHING,
+    samples,
+)
 from experiments.robustness.evaluated import evaluate
-from experiments.workbench import claims
 from experiments.workbench.arms import Arm, Experiment, world_version
-from experiments.workbench.cache_paths import cache_path
-from experiments.workbench.claims import Claim
 from experiments.workbench.configs import Config
-from experiments.workbench.locks import locked
-from experiments.workbench.pipelines import Step, link_folder, run_pipeline, step
-from experiments.workbench.plots import interval_plot
-from experiments.workbench.results import ArmResult, Outcome, Sample
-from experiments.workbench.table import Picture, Section, Table, words
+from experiments.workbench.pipelines import Step, Trials, run_once, run_pipeline, step
+from experiments.workbench.results import ArmResult, Outcome
+from experiments.workbench.table import Table
 from freerein.learning.model_files import MODEL, read_card
 from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
 
-RANDOM_SEARCH = "random_search"
 _CONSISTENT = {"forward_consistency_weight": 0.1}
 _VARIANTS = ("gsp_pixels", "gsp_one_step", "gsp_stop", "gsp_pretrained")
 """Rows that are fitted for fewer steps."""
@@ -59,19 +66,8 @@ SEEDS: Mapping[str, Mapping[str, int]] = {
 }
 """Number of fits of each row to the data of each exploration; those of 4 are paired, for what consistency brings."""
 
-GREEDY, SAMPLED = ACTING = "greedy", "sampled"
-SETTINGS: Mapping[str, str] = {"a": "doom", "v1": "doom.v1"}
-"""Tasks in which demonstrations are followed. Those of the tests, V2 and B, are not among them."""
-
-_WORLD, _VERSION, _STEPS, _STEPS_OF_VARIANTS, _TRAJECTORIES, _EPISODES, _PER_CENT = (
-    "doom",
-    2,
-    10_000,
-    4_000,
-    714,
-    250,
-    100,
-)
+_WORLD, _VERSION, _STEPS, _STEPS_OF_VARIANTS, _TRAJECTORIES, _EPISODES = "doom", 3, 10_000, 4_000, 714, 250
+_DATA_OPTION, _SETTINGS_OPTION = "data", "settings"
 _RECOGNIZER, _POLICY = "recognizer", "policy"
 _FIXED_ROOM = {"conditions": ["start-room-10"]}
 _DATA: Mapping[str, Sequence[Mapping[str, Any]]] = {
@@ -93,68 +89,63 @@ _CURIOSITY = {
     "gamma": 0.99,
     "ent_coef": 0.01,
 }
-_HEADER = (
-    "row",
-    "data",
-    "seed",
-    *(f"completion in {name.upper()}, {acting}, %" for name in SETTINGS for acting in ACTING),
-    "minutes",
-)
 
 
 class Doom(Experiment):
-    """An arm for each row, exploration and seed; random search has no fit."""
+    """An arm for each row, exploration, seed and kind of settings; random search, expert and ceiling have no fit."""
 
     @property
     def arms(self) -> tuple[Arm, ...]:
-        """Random search, then all fits of a seed before those of the next."""
+        """What needs no fit, then all fits of a seed before those of the next; the settings of the tests are last."""
         rows = [(data, row, seeds) for data, rows in SEEDS.items() for row, seeds in rows.items()]
-        most = max(seeds for _, _, seeds in rows)
-        fits = (
-            Arm(_WORLD, row, {"data": data}, seed) for seed in range(most) for data, row, seeds in rows if seed < seeds
+        fits = [
+            (row, data, seed)
+            for seed in range(max(seeds for _, _, seeds in rows))
+            for data, row, seeds in rows
+            if seed < seeds
+        ]
+        return tuple(
+            Arm(_WORLD, row, {**({_DATA_OPTION: data} if data else {}), _SETTINGS_OPTION: settings}, seed)
+            for settings in (CHOICE, TEST)
+            for row, data, seed in [(EXPERT, "", 0), (RANDOM_SEARCH, "", 0), (TRUE_SWITCHING, "curiosity", 0), *fits]
         )
-        return (Arm(_WORLD, RANDOM_SEARCH), *fits)
 
     def config(self, arm: Arm) -> Config:
-        """Returns the steps of the pipeline that arms share, and of the arm's own."""
-        return {"version": _VERSION, "shared": shared_steps(), "steps": steps(arm)}
+        """Returns the steps of the pipeline that arms share, of the fit, and of the arm's own."""
+        fit = [fit_step(arm)] if is_fitted(arm) else []
+        return {"version": _VERSION, "shared": shared_steps(), "fit": fit, "steps": list(steps(arm))}
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Makes data and recognizer, or waits until another arm has made them."""
-        if arm.method == RANDOM_SEARCH:
-            return True
-        with locked(work / "doom" / "shared.lock"):
-            made = run_pipeline(shared_steps(), _shared_folder(work), lambda: None, keeps_datasets=True)
-        return made is not None
+        return not is_fitted(arm) or _shared(work) is not None
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
     ) -> Outcome | None:
-        """Fits a policy, and has it follow demonstrations by its likeliest actions, and by drawn ones."""
-        is_fitted = arm.method != RANDOM_SEARCH
-        if is_fitted:
-            for part in ("datasets", "models"):
-                link_folder(_shared_folder(work) / "data" / part, folder / "data" / part)
-        trials = run_pipeline(steps(arm), folder, on_progress)
-        found = {} if trials is None else {GREEDY: trials}
-        if is_fitted and trials is not None:
-            publish_sampled(folder / "data", folder / SAMPLED / "data")
-            drawn = run_pipeline([*_evaluations({"model": _POLICY})], folder / SAMPLED, on_progress)
-            found = {} if drawn is None else found | {SAMPLED: drawn}
-        samples = {f"{acting}.{name}": _completions(each[name]) for acting, each in found.items() for name in SETTINGS}
-        return Outcome({}, samples) if samples else None
+        """Has a policy follow demonstrations by its likeliest actions, and by drawn ones; see `Experiment`."""
+        found: dict[str, Trials] = {}
+        fitted = _fitted(arm, work, on_progress) if is_fitted(arm) else None
+        if is_fitted(arm) and fitted is None:
+            return None
+        for acting in ACTING if fitted and arm.method not in CEILINGS else ACTING[:1]:
+            source = fitted
+            if fitted and acting != GREEDY:
+                source = folder / "drawn"
+                publish_sampled(fitted / "data", source / "data")
+            trials = run_pipeline([*steps(arm)], folder / acting, on_progress, source=source)
+            if trials is None:
+                return None
+            found[acting] = trials
+        return Outcome({}, dict(samples(found)))
 
     def table(self, results: Sequence[ArmResult]) -> Table:
-        """Returns a row for each arm that has a result, and the claims."""
-        made = tuple(_claims(results))
-        draw = partial(interval_plot, list(made), title="Demonstrations followed", unit="mean completion, per cent")
-        return Table(
-            title="Following demonstrations in rooms and corridors (Tables 3.3 and A.2)",
-            text=words("doom"),
-            sections=(Section(_HEADER, tuple(map(_cells, results))),),
-            claims=made,
-            picture=Picture("Completion of demonstrations by row", draw),
-        )
+        """Returns a row for each fit that has results, and the claims."""
+        return followed_report.table(results)
+
+
+def is_fitted(arm: Arm) -> bool:
+    """Returns whether an arm has a policy that is fitted."""
+    return arm.method not in (EXPERT, RANDOM_SEARCH)
 
 
 def shared_steps() -> list[Step]:
@@ -168,17 +159,43 @@ def shared_steps() -> list[Step]:
     ]
 
 
-def steps(arm: Arm) -> list[Step]:
-    """Returns the steps of an arm's pipeline."""
-    if arm.method == RANDOM_SEARCH:
-        return [*_evaluations("random")]
-    row = ROWS[arm.method]
+def fit_step(arm: Arm) -> Step:
+    """Returns the step that fits the policy of an arm; that of true switching is the one that claims rest on."""
+    name = "gsp_features" if arm.method == TRUE_SWITCHING else arm.method
+    row = ROWS[name]
     named = {} if row.get("stop") else {"recognizer": _RECOGNIZER}
-    count = _STEPS_OF_VARIANTS if arm.method in _VARIANTS else _STEPS
+    count = _STEPS_OF_VARIANTS if name in _VARIANTS else _STEPS
     common = {"method": "goal_conditioned", "encoder": "convolutional", "steps": count, "seed": arm.seed}
     config = {**common, **named, **row}
-    fit = step(_POLICY, "fit", service="imitation", dataset=arm.options["data"], model_name=_POLICY, config=config)
-    return [fit, *_evaluations({"model": _POLICY})]
+    return step(
+        _POLICY, "fit", service="imitation", dataset=arm.options[_DATA_OPTION], model_name=_POLICY, config=config
+    )
+
+
+def steps(arm: Arm) -> Iterator[Step]:
+    """Yields the steps that evaluate an arm, one for each of its settings."""
+    policy = {EXPERT: "expert", RANDOM_SEARCH: "random"}.get(arm.method, {"model": _POLICY})
+    switching = {"switching": "truth"} if arm.method == TRUE_SWITCHING else {}
+    for name, task in SETTINGS[arm.options[_SETTINGS_OPTION]].items():
+        shown = {"demonstration_conditions": ["heading-along-path"], "episodes": _EPISODES}
+        yield evaluate("demonstrations", name, task=task, policy=policy, **shown, **switching)
+
+
+def _fitted(arm: Arm, work: Path, on_progress: Callable[[], None]) -> Path | None:
+    """Fits the policy of an arm, once for all arms that act by it, to data that are made once for all."""
+    shared = _shared(work)
+    if shared is None:
+        return None
+    made_by = {**_made_by(), "shared": shared_steps()}
+    return run_once([fit_step(arm)], made_by, work / "doom", on_progress, source=shared)
+
+
+def _shared(work: Path) -> Path | None:
+    return run_once(shared_steps(), _made_by(), work / "doom", lambda: None)
+
+
+def _made_by() -> dict[str, Any]:
+    return {"version": _VERSION, "world_version": world_version(_WORLD)}
 
 
 def publish_sampled(fitted: Path, data_dir: Path) -> None:
@@ -192,46 +209,6 @@ def publish_sampled(fitted: Path, data_dir: Path) -> None:
         (copy / MODEL.card).write_text(json.dumps({**card, "spec": {**card["spec"], "temperature": 1.0}}))
         store = ModelStore(data_dir / "models" / "imitation")
         store.activate(store.publish(_POLICY, copy))
-
-
-def _evaluations(policy: object) -> Iterator[Step]:
-    for name, task in SETTINGS.items():
-        shown = {"demonstration_conditions": ["heading-along-path"], "episodes": _EPISODES}
-        yield evaluate("demonstrations", name, task=task, policy=policy, **shown)
-
-
-def _shared_folder(work: Path) -> Path:
-    made_by = {"steps": shared_steps(), "version": _VERSION, "world_version": world_version(_WORLD)}
-    return cache_path(work / "doom", made_by, prefix="shared-")
-
-
-def _completions(trials: Sequence[Mapping[str, Any]]) -> Sample:
-    return Sample([each["completion"] for each in trials], [1] * len(trials))
-
-
-def _cells(result: ArmResult) -> tuple[str, ...]:
-    shown = (_cell(result.samples.get(f"{acting}.{name}")) for name in SETTINGS for acting in ACTING)
-    return result.method, result.options.get("data", ""), str(result.seed), *shown, f"{result.minutes:.0f}"
-
-
-def _cell(sample: Sample | None) -> str:
-    if sample is None:
-        return ""
-    low, high = claims.interval([sample])
-    return f"{_PER_CENT * sample.mean:.1f} [{_PER_CENT * low:.1f}, {_PER_CENT * high:.1f}]"
-
-
-def _claims(results: Sequence[ArmResult]) -> Iterator[Claim]:
-    """Yields the mean completion of each row by exploration, setting and way of acting; none has a target yet."""
-    rows: dict[tuple[str, ...], list[ArmResult]] = {}
-    for result in results:
-        rows.setdefault((result.method, *result.options.values()), []).append(result)
-    more: dict[str, Any] = {"unit": _PER_CENT, "command": "python -m experiments run doom"}
-    for row, arms in rows.items():
-        for name in arms[0].samples:
-            samples = [arm.samples[name] for arm in arms]
-            claim = "_".join(["doom", *row, *name.split(".")])
-            yield claims.claim_of(claim, arms, samples, target=None, met=None, seeds=len(arms), **more)
 
 
 EXPERIMENT = Doom()

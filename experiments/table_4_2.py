@@ -3,7 +3,6 @@
 Students of the same 18 teachers, which ship. Three seeds each, 50 episodes a task, 36 tasks, two kinds of starts.
 """
 
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,12 +24,10 @@ from experiments.chapter4.students import (
     samples_in_scenes,
     taught,
 )
-from experiments.chapter4.unseen_colour import check_unseen, is_scanned, scanned
+from experiments.chapter4.unseen_colour import check_unseen, scanned
 from experiments.workbench.arms import Arm, Experiment
-from experiments.workbench.cache_paths import cache_path
 from experiments.workbench.configs import Config
-from experiments.workbench.locks import locked
-from experiments.workbench.pipelines import Step, Trials, link_folder, run_pipeline
+from experiments.workbench.pipelines import Step, Trials, run_once, run_pipeline
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.data import dataset_path
@@ -97,16 +94,11 @@ def _pipelines(arm: Arm) -> dict[str, list[Step]]:
 
 def _student(arm: Arm, work: Path, on_progress: Callable[[], None]) -> Path | None:
     """Distils a student, once for all its arms, and scans what it has learned from; returns the folder."""
-    made_by: Config = {"version": _VERSION, "teachers": list(shipped_teachers()), "step": _distil(arm)}
-    folder = cache_path(work / "students", made_by)
-    with locked(folder / "lock"):
-        if is_scanned(folder):
-            return folder
-        if run_pipeline([_distil(arm)], folder, on_progress, keeps_datasets=True) is None:
-            return None
+    made_by = {"version": _VERSION, "teachers": list(shipped_teachers())}
+    folder = run_once([_distil(arm)], made_by, work / "students", on_progress)
+    if folder:
         check_unseen(dataset_path(folder / "data", DATASET), folder)
-        shutil.rmtree(folder / "data" / "datasets")
-        return folder
+    return folder
 
 
 def _trials(
@@ -115,9 +107,7 @@ def _trials(
     """Runs evaluations by pipeline, each in a folder of its own; returns all trials, None when one was stopped."""
     trials: dict[str, Sequence[Mapping[str, Any]]] = {}
     for name, steps in pipelines.items():
-        if student:
-            link_folder(student / "data" / "models", folder / name / "data" / "models")
-        shown = run_pipeline(steps, folder / name, on_progress)
+        shown = run_pipeline(steps, folder / name, on_progress, source=student)
         if shown is None:
             return None
         trials |= shown

@@ -35,7 +35,7 @@ def check_unseen(root: Path, folder: Path) -> None:
     Raises:
         FailedPrecondition: A frame shows the colour, or a goal text names it.
     """
-    if not is_scanned(folder):
+    if not (folder / _FILE).is_file():
         dataset = Dataset(root)
         pixels = sum(blue_pixels(each) for trajectory in dataset for each in trajectory.frames.values())
         texts = sum(TEST_COLOUR in text for text in dataset.goal_texts)
@@ -48,11 +48,6 @@ def check_unseen(root: Path, folder: Path) -> None:
             f"{found['texts']:.0f} texts are.",
             hint="Take teachers of the training tasks alone.",
         )
-
-
-def is_scanned(folder: Path) -> bool:
-    """Returns whether a scan has been made."""
-    return (folder / _FILE).is_file()
 
 
 def scanned(folder: Path) -> dict[str, float]:

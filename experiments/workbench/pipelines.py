@@ -12,6 +12,8 @@ from contextlib import aclosing
 from pathlib import Path
 from typing import Any
 
+from experiments.workbench.cache_paths import cache_path
+from experiments.workbench.locks import locked
 from freerein.cli.connection import channel_to
 from freerein.cli.jobs.display import check_succeeded
 from freerein.cli.jobs.streams import follow_run
@@ -32,6 +34,7 @@ _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
 _READY_TIMEOUT_S = 300.0
 _POLL_S = 0.2
 _NAME = "arm"
+_PARTS = ("datasets", "models")
 
 
 def step(name: str, kind: str, **config: Any) -> Step:
@@ -49,6 +52,7 @@ def run_pipeline(
     folder: Path,
     on_progress: Callable[[], None],
     *,
+    source: Path | None = None,
     keeps_datasets: bool = False,
     then: Callable[[Mapping[str, str]], Awaitable[None]] | None = None,
 ) -> Trials | None:
@@ -58,13 +62,16 @@ def run_pipeline(
         steps: Its steps.
         folder: The arm's.
         on_progress: Called now and then.
-        keeps_datasets: Whether another pipeline of the arm needs its datasets.
+        source: Folder of a pipeline that is done: the services begin with its datasets and models.
+        keeps_datasets: Whether another pipeline needs its datasets.
         then: Awaited once the pipeline is done, with the addresses of the services, which still run.
 
     Raises:
         FailedPrecondition: A step failed.
     """
     data = folder / "data"
+    for part in _PARTS if source else ():
+        _link_folder(source / "data" / part, data / part)
     with stop_on_sigterm() as is_stopped:
         is_done = asyncio.run(_run_to_its_end({"steps": list(steps)}, data, on_progress, is_stopped, then=then))
     if not is_done:
@@ -76,18 +83,42 @@ def run_pipeline(
     return {name: _trials(parts / name / "checkpoints" / "rounds.jsonl") for name in names}
 
 
+def run_once(
+    steps: Sequence[Step],
+    made_by: Mapping[str, Any],
+    folder: Path,
+    on_progress: Callable[[], None],
+    *,
+    source: Path | None = None,
+) -> Path | None:
+    """Runs a pipeline once for all arms that need what it makes; others wait. Its datasets are kept.
+
+    Args:
+        steps: Its steps.
+        made_by: What it depends on besides.
+        folder: Where the folders of such pipelines are.
+        on_progress: Called now and then.
+        source: See `run_pipeline`.
+
+    Returns:
+        The pipeline's folder; None when SIGTERM stopped it.
+
+    Raises:
+        FailedPrecondition: A step failed.
+    """
+    made = cache_path(folder, {**made_by, "steps": list(steps)})
+    done = made / "done"
+    with locked(made / "lock"):
+        if not done.exists():
+            if run_pipeline(steps, made, on_progress, source=source, keeps_datasets=True) is None:
+                return None
+            done.touch()
+    return made
+
+
 def run_folder(folder: Path) -> Path:
     """Returns the folder of the run of a pipeline in the folder of its arm."""
     return folder / "data" / "runs" / id_of(_NAME)
-
-
-def link_folder(source: Path, target: Path) -> None:
-    """Copies a folder as hard links, unless it is there; a copy that was cut short is made again."""
-    if not target.exists():
-        part = target.with_name(f".{target.name}.part")
-        shutil.rmtree(part, ignore_errors=True)
-        shutil.copytree(source, part, copy_function=os.link)
-        part.rename(target)
 
 
 async def _run_to_its_end(
@@ -129,3 +160,12 @@ async def _follow(client: OrchestratorClient, config: dict[str, Any], on_progres
 def _trials(path: Path) -> list[dict[str, Any]]:
     """Returns the values of an evaluation's trials, a line per round."""
     return [trial for line in path.read_bytes().splitlines() for trial in json.loads(line)["trials"]]
+
+
+def _link_folder(source: Path, target: Path) -> None:
+    """Copies a folder, if it is there, as hard links, once; a copy that was cut short is made again."""
+    if source.is_dir() and not target.exists():
+        part = target.with_name(f".{target.name}.part")
+        shutil.rmtree(part, ignore_errors=True)
+        shutil.copytree(source, part, copy_function=os.link)
+        part.rename(target)

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 import torch
 from experiments import doom
+from experiments.chapter3 import resampled
+from experiments.chapter3.followed import DEMONSTRATIONS, EXPERT, RANDOM_SEARCH, SETTINGS
 from experiments.workbench.arms import Arm
+from experiments.workbench.results import Sample
 
 from freerein.config import parse
 from freerein.data import DatasetSpec, create, dataset_path
@@ -53,16 +56,41 @@ def fits() -> Iterator[Arm]:
 def test_the_orchestrator_takes_all_pipelines_and_evaluations_have_seeds_of_their_own() -> None:
     KINDS["pipeline"].parse({"steps": doom.shared_steps()})
     for arm in doom.EXPERIMENT.arms:
-        steps = doom.steps(arm)
+        steps = [*([doom.fit_step(arm)] if doom.is_fitted(arm) else []), *doom.steps(arm)]
         KINDS["pipeline"].parse({"steps": steps})
         assert arm.seed not in {each["config"]["seed"] for each in steps if each["kind"] == "evaluate"}
-    assert {arm.method for arm in doom.EXPERIMENT.arms} == {doom.RANDOM_SEARCH, *doom.ROWS}
+    unfitted = {arm.method for arm in doom.EXPERIMENT.arms if not doom.is_fitted(arm)}
+    assert unfitted == {EXPERT, RANDOM_SEARCH}
+
+
+def test_every_setting_has_as_many_demonstrations_as_intervals_take() -> None:
+    for name in (task for settings in SETTINGS.values() for task in settings.values()):
+        assert len(tasks()[name].spec.skills) == DEMONSTRATIONS
+
+
+def test_an_interval_is_over_demonstrations_not_only_over_their_starts() -> None:
+    episodes = np.zeros((1, DEMONSTRATIONS, 50))
+    episodes[:, 0] = 1.0  # one demonstration is followed always, the others never
+    low, high = resampled.interval(episodes, resampled.mean)
+    assert low == 0.0
+    assert high >= 0.6
+    assert resampled.median(episodes) == 0.0
+
+
+def test_trials_are_sorted_by_the_demonstration_that_they_follow() -> None:
+    followed = [trial % DEMONSTRATIONS for trial in range(10)]
+    episodes = resampled.by_demonstration([Sample(followed, [1] * 10)])
+    np.testing.assert_array_equal(episodes, np.arange(DEMONSTRATIONS)[None, :, None].repeat(2, axis=2))
+
+
+def test_the_interval_of_a_median_has_the_ranks_of_a_binomial() -> None:
+    assert resampled.median_interval(np.arange(100.0)) == (40.0, 60.0)
 
 
 @pytest.mark.parametrize("row", doom.ROWS)
 def test_every_row_is_a_fit(data_dir: Path, row: str) -> None:
     arm = next(arm for arm in fits() if arm.method == row)
-    given = {**doom.steps(arm)[0]["config"]["config"], **TINY}
+    given = {**doom.fit_step(arm)["config"]["config"], **TINY}
     given |= {name: 1 for name in given if name.endswith("pretraining_steps")}
     config = METHODS.resolve(data_dir, arm.options["data"], given, threads=1)
     method = METHODS.by_name[config.pop("method")]

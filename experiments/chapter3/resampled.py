@@ -1,0 +1,58 @@
+"""Means and medians over episodes that follow a few demonstrations, with intervals over all that was drawn."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.chapter3.followed import DEMONSTRATIONS
+from experiments.workbench.results import Sample
+
+Episodes = npt.NDArray[np.float64]
+"""Of every seed, demonstration and start, float64 (seeds, demonstrations, starts)."""
+
+Statistic = Callable[[Episodes], float]
+
+_RESAMPLES, _SEED = 2000, 0
+
+
+def by_demonstration(samples: Sequence[Sample]) -> Episodes:
+    """Returns the trials of each seed, float64 (seeds, demonstrations, starts)."""
+    totals = np.array([each.totals for each in samples], np.float64)
+    return totals.reshape(len(samples), -1, DEMONSTRATIONS).swapaxes(1, 2)
+
+
+def median(episodes: Episodes) -> float:
+    """Returns the mean over seeds of the median over episodes."""
+    return float(np.median(episodes, axis=(1, 2)).mean())
+
+
+def mean(episodes: Episodes) -> float:
+    """Returns the mean over seeds and episodes."""
+    return float(episodes.mean())
+
+
+def interval(episodes: Episodes, statistic: Statistic) -> tuple[float, float]:
+    """Returns the 95 % interval of a statistic: percentile bootstrap over seeds, demonstrations and starts.
+
+    All seeds have the same resampled demonstrations, and starts of each. With one seed it says nothing about others.
+    """
+    rng, (seeds, demonstrations, starts) = np.random.default_rng(_SEED), episodes.shape
+    values = []
+    for _ in range(_RESAMPLES):
+        seed = rng.integers(seeds, size=(seeds, 1, 1))
+        shown, start = (
+            rng.integers(demonstrations, size=(demonstrations, 1)),
+            rng.integers(starts, size=(demonstrations, starts)),
+        )
+        values.append(statistic(episodes[seed, shown, start]))
+    low, high = np.percentile(values, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def median_interval(values: npt.NDArray[np.float64]) -> tuple[float, float]:
+    """Returns the 95 % interval of a median by order statistics: normal approximation of the binomial ranks."""
+    ordered, count = np.sort(values), len(values)
+    reach = 1.96 * np.sqrt(count) / 2
+    low, high = max(0, int(np.floor(count / 2 - reach))), min(count - 1, int(np.ceil(count / 2 + reach)))
+    return float(ordered[low]), float(ordered[high])
