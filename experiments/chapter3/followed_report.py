@@ -104,11 +104,9 @@ def _cells(rows: Sequence[_Row], figure: str) -> Iterator[tuple[str, ...]]:
 def _cell(sample: Sample | None) -> str:
     if sample is None:
         return ""
-    low, high = resampled.median_interval(sample.totals)
-    median = float(np.median(sample.totals))
-    return (
-        f"{_PER_CENT * median:.0f} [{_PER_CENT * low:.0f}, {_PER_CENT * high:.0f}], mean {_PER_CENT * sample.mean:.1f}"
-    )
+    percent = _PER_CENT * np.array(sample.totals, np.float64)
+    low, high = resampled.median_interval(percent)
+    return f"{np.median(percent):.0f} [{low:.0f}, {high:.0f}], mean {percent.mean():.1f}"
 
 
 def _claims(rows: Sequence[_Row]) -> Iterator[Claim]:

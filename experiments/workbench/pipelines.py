@@ -34,7 +34,6 @@ _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
 _READY_TIMEOUT_S = 300.0
 _POLL_S = 0.2
 _NAME = "arm"
-_PARTS = ("datasets", "models")
 
 
 def step(name: str, kind: str, **config: Any) -> Step:
@@ -70,8 +69,9 @@ def run_pipeline(
         FailedPrecondition: A step failed.
     """
     data = folder / "data"
-    for part in _PARTS if source else ():
-        _link_folder(source / "data" / part, data / part)
+    if source:
+        for part in ("datasets", "models"):
+            _link_folder(source / "data" / part, data / part)
     with stop_on_sigterm() as is_stopped:
         is_done = asyncio.run(_run_to_its_end({"steps": list(steps)}, data, on_progress, is_stopped, then=then))
     if not is_done:
