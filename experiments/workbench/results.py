@@ -28,7 +28,7 @@ TABLE_FILE = "table.json"
 """Name of the file of claims, which lies beside the results."""
 
 _PACKAGES = ("freerein", "numpy", "torch")
-_LONG = ("config", "machine", "samples", "shown")
+_LONG = ("config", "figures", "machine", "samples", "shown")
 """Members of a result that are compressed."""
 
 
