@@ -173,3 +173,11 @@ def test_a_reward_model_without_keypoints_of_its_own_is_no_encoder_of_objects(fo
     (copied / MODEL.weights).write_bytes(tensor_files.dump(of_criteria))
     with pytest.raises(InvalidInput, match="`relation_captions`"):
         load_object_encoder(copied, goal_caption=CAPTION, camera=CAMERA)
+
+
+def test_a_fit_of_the_body_is_interrupted() -> None:
+    seen, _ = explore(np.random.default_rng(0), 2)
+    calls = iter([None])  # the second raises StopIteration
+
+    with pytest.raises(StopIteration):
+        fit_body(BodyEncoder(height=64, width=64, action_size=2), seen, torch.Generator(), interrupt=calls.__next__)

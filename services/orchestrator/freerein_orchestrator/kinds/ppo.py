@@ -46,6 +46,7 @@ from freerein_orchestrator.rl.initial_network import calibrate, network_spec
 from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.state import PPOState, Prepare, from_checkpoint, init_state, trained_on
 from freerein_orchestrator.rl.trainer import Trainer
+from freerein_orchestrator.rl.vec_env import VecEnv
 from freerein_orchestrator.rl.visited_frames import fit_in_distribution, visited_frames
 
 _VISITED_ROLLOUTS = 2  # as many timesteps as in two iterations
@@ -231,12 +232,21 @@ class _Training:
         if encoder is None:
             return calibrate
         config = self._config
-        return partial(
-            fit_eye,
-            objects=encoder.weights,
-            explorations=config.explorations,
-            augmentation=config.augmentation,
-        )
+
+        def prepare(network: ActorCritic, envs: VecEnv, generator: torch.Generator) -> None:
+            self._context.log_line("Before the first iteration, the encoder of the policy's own body is fitted.")
+            fit_eye(
+                network,
+                envs,
+                generator,
+                objects=encoder.weights,
+                explorations=config.explorations,
+                augmentation=config.augmentation,
+                interrupt=self.retry.interrupt,
+            )
+            self._context.log_line("The encoder of the policy's own body is fitted.")
+
+        return prepare
 
     def _make_rewards(self, network: ActorCritic, inputs: Mapping[str, JSON]) -> Sequence[Reward]:
         """Returns the untrained rewards of a training with these inputs."""

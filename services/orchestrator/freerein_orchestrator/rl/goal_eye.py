@@ -1,6 +1,6 @@
 """The eye of a new policy: its encoder is that of a stored reward model, and its body is found by random actions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -90,6 +90,7 @@ def fit_eye(
     objects: Mapping[str, Tensor],
     explorations: int,
     augmentation: float = 0.0,
+    interrupt: Callable[[], None] = lambda: None,
 ) -> None:
     """Gives the eye of a new network its encoder of objects, and has it find the policy's body by random actions.
 
@@ -100,12 +101,13 @@ def fit_eye(
         objects: Weights of the encoder, by name.
         explorations: Sequences of actions in each environment.
         augmentation: Strength of that of their frames; 0 for none.
+        interrupt: Called often; raises to stop.
     """
     if network.eye is None:
         raise InvalidInput("A network to fit an eye of must have one.")
     network.eye.load_objects(objects)
     explored = explore(network.spec, envs, generator, count=explorations)
-    network.eye.fit(explored, generator, augmentation=augmentation)
+    network.eye.fit(explored, generator, augmentation=augmentation, interrupt=interrupt)
 
 
 def explored_steps(spec: ActorCriticSpec, config: PPOConfig) -> int:

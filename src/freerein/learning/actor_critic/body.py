@@ -6,6 +6,7 @@ things that come and go, are not the body: frames of one pair are seen in differ
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -65,7 +66,14 @@ class BodyEncoder(nn.Module):
         return found
 
 
-def fit_body(body: BodyEncoder, seen: Exploration, generator: torch.Generator, *, augmentation: float = 0.0) -> None:
+def fit_body(
+    body: BodyEncoder,
+    seen: Exploration,
+    generator: torch.Generator,
+    *,
+    augmentation: float = 0.0,
+    interrupt: Callable[[], None] = lambda: None,
+) -> None:
     """Trains an encoder on random actions, from new weights.
 
     The loss is absolute, so that actions without effect, at the ends of a joint's range, count little.
@@ -75,6 +83,7 @@ def fit_body(body: BodyEncoder, seen: Exploration, generator: torch.Generator, *
         seen: Random actions and the frames around them.
         generator: Source of all randomness, on the CPU.
         augmentation: Strength of that of frames: their light, and distractors; 0 for none.
+        interrupt: Called before every step; raises to stop.
     """
     weights.initialise(body, generator=generator)
     frames, device = seen.frames.flatten(end_dim=1), body.background.device
@@ -85,6 +94,7 @@ def fit_body(body: BodyEncoder, seen: Exploration, generator: torch.Generator, *
     epochs = _EPOCHS_AUGMENTED if augmentation else _EPOCHS
     optimiser, steps = torch.optim.Adam(body.parameters(), _LR), math.ceil(epochs * count * length / _BATCH)
     for step in range(steps):
+        interrupt()
         for group in optimiser.param_groups:
             group["lr"] = _LR * (1 - step / steps)
         which = torch.randint(count, (_BATCH,), generator=generator)

@@ -4,7 +4,7 @@ A reward model's image encoder locates the two noun phrases of a goal text. A `B
 objects that it moved tell where in the frame that is (hand-eye calibration). Nothing of it is trained by rewards.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -121,10 +121,17 @@ class GoalEye(nn.Module):
         """Copies the weights of a reward model's image encoder, by name."""
         self.objects.load_state_dict(encoder)
 
-    def fit(self, seen: Exploration, generator: torch.Generator, *, augmentation: float = 0.0) -> None:
-        """Learns to locate the body from random actions, in augmented frames; the objects' encoder stays as it is."""
+    def fit(
+        self,
+        seen: Exploration,
+        generator: torch.Generator,
+        *,
+        augmentation: float = 0.0,
+        interrupt: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Learns to locate the body from random actions; the objects' encoder stays as it is. See `fit_body`."""
         self.body.requires_grad_(True)
-        fit_body(self.body, seen, generator, augmentation=augmentation)
+        fit_body(self.body, seen, generator, augmentation=augmentation, interrupt=interrupt)
         self.body.requires_grad_(False)
         self._fit_hand_eye(seen)
 
