@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from experiments.robustness import evaluated, language, policies
 from experiments.robustness.target import Target
-from experiments.workbench.pipelines import run_pipeline
+from experiments.workbench.pipelines import fit_step, run_once, run_pipeline, step
 
 from freerein import metrics
 from freerein_imitation.model.known_texts import KnownTexts
@@ -135,6 +135,21 @@ def test_a_pipeline_runs_on_services_of_its_own(tmp_path: Path) -> None:
     assert len(first["recipes"]) == 2
     assert ticks
     assert run_pipeline(steps, tmp_path, lambda: None) == first
+
+
+@pytest.mark.long
+def test_a_pipeline_begins_with_what_another_made_once_for_all(tmp_path: Path) -> None:
+    demos = [step("demos", "collect", dataset="demos", task="grid", count=4)]
+    source = run_once(demos, {"version": 1}, tmp_path / "shared", lambda: None)
+    assert source is not None
+    fit = [fit_step("fit", "segmentation", "demos", steps=1, augmentation=0)]
+    assert run_pipeline(fit, tmp_path / "arm", lambda: None, source=source) == {}
+
+    ticks: list[int] = []
+    assert run_once(demos, {"version": 1}, tmp_path / "shared", lambda: ticks.append(0)) == source
+    assert not ticks
+    assert run_once(demos, {"version": 2}, tmp_path / "shared", lambda: ticks.append(0)) not in (source, None)
+    assert ticks
 
 
 def test_every_wording_that_a_language_policy_is_told_is_one_that_it_acts_on() -> None:
