@@ -51,11 +51,15 @@ def test_frames_are_shifted_each_by_its_own_offset_with_replicated_edges() -> No
 
 
 def test_hues_turn_as_in_the_hsv_model() -> None:
-    pixels = torch.rand(1, 4, 4, 3, generator=generator())
-    turned = turn_hue(pixels, torch.tensor([0.1]))
-    for before, after in zip(pixels.view(-1, 3).tolist(), turned.view(-1, 3).tolist(), strict=True):
-        hue, saturation, value = colorsys.rgb_to_hsv(*before)
-        assert after == pytest.approx(colorsys.hsv_to_rgb((hue + 0.1) % 1, saturation, value), abs=1e-5)
+    planes = torch.rand(3, 2, 4, 4, generator=generator())
+    planes[:, :, 0] = planes[0, :, 0]  # gray
+    planes[1, :, 1] = planes[0, :, 1]  # as green as red
+    turns = [0.1, -0.9]
+    turned = turn_hue(planes, torch.tensor(turns))
+    for image, turn in enumerate(turns):
+        for before, after in zip(*(each[:, image].flatten(1).T.tolist() for each in (planes, turned)), strict=True):
+            hue, saturation, value = colorsys.rgb_to_hsv(*before)
+            assert after == pytest.approx(colorsys.hsv_to_rgb((hue + turn) % 1, saturation, value), abs=1e-5)
 
 
 def test_strength_comes_after_two_fifths_of_a_fit() -> None:

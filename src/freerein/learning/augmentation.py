@@ -31,7 +31,8 @@ _DISTRACTORS, _DISTRACTOR_SHARE = 3, 0.7
 _LEAST_SIDE, _MOST_SIDE = 0.04, 0.2
 """Most distractors in a frame, the share of frames that have each, and their sides, as shares of the frame's."""
 
-_FRAMES_AT_ONCE = 256
+_FRAMES_AT_ONCE, _FRAMES_IN_CACHE = 256, 32
+"""Frames whose noise is drawn at once, a multiple of those that are computed at once."""
 
 _CROP_AREA, _CROP_ASPECT = (0.95, 1.0), (0.98, 1.02)
 """Area of a crop as a share of the frame's, and its width by its height (section 4.3)."""
@@ -81,22 +82,25 @@ class CameraTakes:
 
     def of(self, frames: Tensor, generator: torch.Generator) -> Tensor:
         """Returns frames, uint8 (N, H, W, C), each as its take has it; `generator` is the source of noise."""
-        offsets, turns, gains, light, sigma = (
-            each.to(frames.device) for each in (self.offsets, self.turns, self.gains, self.light, self.sigma)
-        )
+        takes = CameraTakes(*(getattr(self, each.name).to(frames.device) for each in fields(self)))
         seen = torch.empty_like(frames)
         for start in range(0, len(frames), _FRAMES_AT_ONCE):
-            at = slice(start, start + _FRAMES_AT_ONCE)
-            pixels = shift(frames[at], offsets[at]).float() / 255
-            if frames.shape[3] == 3:
-                pixels = turn_hue(pixels, turns[at]) * gains[at, None, None]
-            noise = torch.randn(pixels.shape, generator=generator).to(frames.device)
-            pixels = pixels * light[at, None, None, None] + noise * sigma[at, None, None, None]
-            seen[at] = (255 * pixels).round_().clamp_(0, 255).to(torch.uint8)
+            noise = torch.randn(frames[start : start + _FRAMES_AT_ONCE].shape, generator=generator).to(frames.device)
+            for first in range(0, len(noise), _FRAMES_IN_CACHE):
+                at = slice(start + first, start + first + _FRAMES_IN_CACHE)
+                seen[at] = takes[at]._seen(frames[at], noise[first : first + _FRAMES_IN_CACHE])
         return seen
 
-    def __getitem__(self, which: Tensor) -> "CameraTakes":
-        """Returns some of the takes, by number, int64 (M,)."""
+    def _seen(self, frames: Tensor, noise: Tensor) -> Tensor:
+        """Returns a few frames as their takes have them: colour by colour, which is faster than pixel by pixel."""
+        planes = shift(frames, self.offsets).permute(3, 0, 1, 2).contiguous().float().div_(255)  # (C, N, H, W)
+        if len(planes) == 3:
+            planes = turn_hue(planes, self.turns).mul_(self.gains.T[:, :, None, None])
+        planes.mul_(self.light[:, None, None]).add_(noise.permute(3, 0, 1, 2) * self.sigma[:, None, None])
+        return planes.mul_(255).round_().clamp_(0, 255).to(torch.uint8).permute(1, 2, 3, 0)
+
+    def __getitem__(self, which: Tensor | slice) -> "CameraTakes":
+        """Returns some of the takes, by number, int64 (M,), or a slice of them."""
         return CameraTakes(*(getattr(self, each.name)[which] for each in fields(self)))
 
 
@@ -182,23 +186,30 @@ def agreement(scores: Tensor, teacher: Tensor) -> Tensor:
     return functional.cross_entropy(scores.reshape(-1, classes), probabilities)
 
 
-def turn_hue(pixels: Tensor, turns: Tensor) -> Tensor:
-    """Returns RGB pixels, float (N, H, W, 3), with hues turned; HSV value and saturation stay.
+def turn_hue(planes: Tensor, turns: Tensor) -> Tensor:
+    """Returns the planes of RGB images, float (3, N, H, W), with hues turned; HSV value and saturation stay.
 
-    `turns` are shares of the colour circle, float (N,).
+    Signs of differences, 0 or 1, choose between the sectors of the colour circle: on a CPU comparisons, and remainders,
+    take several times as long as arithmetic.
+
+    Args:
+        planes: Red, green and blue.
+        turns: Shares of the colour circle, float (N,).
     """
-    value, least = pixels.amax(dim=3), pixels.amin(dim=3)  # (N, H, W)
-    chroma = value - least
-    red, green, blue = pixels.unbind(dim=3)
-    divisor = chroma.where(chroma > 0, 1.0)
-    sector = torch.where(
-        value == red,
-        (green - blue) / divisor,
-        torch.where(value == green, 2 + (blue - red) / divisor, 4 + (red - green) / divisor),
-    )
-    start = torch.tensor([5.0, 3.0, 1.0], device=pixels.device)
-    phase = (start + (sector + 6 * turns[:, None, None])[..., None]) % 6  # (N, H, W, 3)
-    return value[..., None] - chroma[..., None] * torch.minimum(phase, 4 - phase).clamp(0, 1)
+    red, green, blue = planes
+    value = torch.maximum(torch.maximum(red, green), blue)  # (N, H, W)
+    chroma = value - torch.minimum(torch.minimum(red, green), blue)
+    other_than_red, other_than_green = (value - red).sign_(), (value - green).sign_()
+    difference = (blue - red) * (1 - other_than_green) + (red - green) * other_than_green
+    difference = (green - blue) * (1 - other_than_red) + difference * other_than_red
+    sector = difference / (chroma + (1 - chroma.sign())) + (2 + 2 * other_than_green) * other_than_red
+    sector += 6 * turns[:, None, None]
+    turned = []
+    for start in (5, 3, 1):
+        phase = start + sector
+        phase -= 6 * (phase / 6).floor_()
+        turned.append(value - torch.minimum(phase, 4 - phase).clamp_(0, 1).mul_(chroma))
+    return torch.stack(turned)
 
 
 def shift(frames: Tensor, offsets: Tensor) -> Tensor:

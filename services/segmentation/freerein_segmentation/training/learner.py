@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeAlias
 
 import torch
@@ -116,10 +117,9 @@ class SegmentationLearner(Learner[SegmentationNetwork]):
         a teacher would favour the network that agrees with itself, whatever it says.
         """
         _, stage = stage_at(self.stages(), max(0, state.step - 1))
-        generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
         losses = []
-        for batch in self._validation_batches():
-            for seen in (batch, batch.augmented(strength, generator=generator)) if strength else (batch,):
+        for batch, others in zip(self._validation_batches(), self._other_views, strict=True):
+            for seen in (batch, *others):
                 scores, mask = state.network(seen.frames, seen.actions, seen.lengths, context=stage.context)
                 losses.append(stage.objective(scores, mask, seen.tags))
         return torch.cat(losses).mean().item()
@@ -195,6 +195,15 @@ class SegmentationLearner(Learner[SegmentationNetwork]):
         """Returns training trajectories, each from a random phase of the stride on."""
         phases = torch.randint(self.spec.stride, (len(items),), generator=generator).tolist()
         return gather(self.training, items, phases, spec=self.spec, device=self.device)
+
+    @cached_property
+    def _other_views(self) -> Sequence[tuple[TrajectoryBatch, ...]]:
+        """Augmented views of each batch of held-out trajectories, the same at every evaluation; none without any."""
+        generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
+        return [
+            (batch.augmented(strength, generator=generator),) if strength else ()
+            for batch in self._validation_batches()
+        ]
 
     def _validation_batches(self) -> Iterator[TrajectoryBatch]:
         for start in range(0, len(self.validation), self.config.batch_size):

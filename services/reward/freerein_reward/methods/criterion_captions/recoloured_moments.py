@@ -40,8 +40,8 @@ def recolour_moments(
     turns = _LEAST_TURN + (1 - 2 * _LEAST_TURN) * torch.rand(len(moments), generator=generator)
     frames, places, shown = [], [], []
     for camera, view in enumerate(moments.frames):
-        turned = turn_hue(torch.from_numpy(view).float() / 255, turns)
-        frames.append((255 * turned).round().to(torch.uint8).numpy())
+        turned = turn_hue(torch.from_numpy(view).permute(3, 0, 1, 2).float() / 255, turns)
+        frames.append((255 * turned).round().to(torch.uint8).permute(1, 2, 3, 0).contiguous().numpy())
         found = grounding.ground(frames[-1], names)
         at = np.stack([found.x, found.y], axis=2).astype(np.float32)  # (N, names, 2)
         unit = moments.layout.unit(camera)
