@@ -207,16 +207,6 @@ def test_a_format_that_is_not_served_is_not_opened(faulty: Any, refusal: Any, au
     assert elsewhere(faulty, audit, before) == []
 
 
-@pytest.mark.fault("S3")
-@pytest.mark.parametrize("encoding", ["png", "jpeg", "webp"])
-def test_a_file_cut_at_any_byte_is_refused_in_our_words(faulty: Any, refusal: Any, encoding: str) -> None:
-    whole = save(SMALL, encoding)
-    for cut in range(0, len(whole), max(1, len(whole) // 60)):
-        reply = send(faulty, whole[:cut])
-        if reply.status_code != 200:  # nothing of the picture may be missing
-            assert "images" in refusal(reply, 415, 422)["detail"]
-
-
 ODD: dict[str, tuple[bytes, int]] = {
     "animated png": (save(SMALL, "PNG", save_all=True, append_images=[SMALL.rotate(90)]), 422),
     "animated webp": (save(SMALL, "WEBP", save_all=True, append_images=[SMALL.rotate(90)]), 422),

@@ -385,6 +385,7 @@ def decoded(encoding: Encoding, data: bytes) -> npt.NDArray[np.uint8] | ServiceE
         return error
 
 
+@pytest.mark.fault("S3")
 @pytest.mark.parametrize("encoding", FILES)
 def test_a_file_cut_at_any_byte_is_an_error_of_ours(encoding: Encoding) -> None:
     pixels = images.decode(file(encoding, WHOLE[encoding]))
