@@ -207,34 +207,6 @@ def test_a_format_that_is_not_served_is_not_opened(faulty: Any, refusal: Any, au
     assert elsewhere(faulty, audit, before) == []
 
 
-ODD: dict[str, tuple[bytes, int]] = {
-    "animated png": (save(SMALL, "PNG", save_all=True, append_images=[SMALL.rotate(90)]), 422),
-    "animated webp": (save(SMALL, "WEBP", save_all=True, append_images=[SMALL.rotate(90)]), 422),
-    "16-bit gray": (png(4, 4, depth=16, raw=bytes(36)), 422),
-    "16-bit colour": (png(4, 4, depth=16, colour=2, raw=bytes(100)), 422),
-    "16-bit colour behind a text": (
-        png(4, 4, depth=16, colour=2, raw=bytes(100), before=chunk(b"tEXt", bytes(9))),
-        422,
-    ),
-    "cmyk": (save(PIL.Image.new("CMYK", (4, 4), (0, 0, 0, 255)), "JPEG"), 200),
-    "palette with alpha": (save(SMALL.quantize(8), "PNG", transparency=bytes(8)), 200),
-    "turned by exif": (save(SMALL, "JPEG", exif=b"Exif\0\0II*\0\x08\0\0\0\1\0\x12\1\3\0\1\0\0\0\6\0\0\0\0\0\0\0"), 200),
-    "no pixels": (png(0, 0), 422),
-    "one row": (save(PIL.Image.new("RGB", (100_000, 1)), "PNG"), 422),
-    "gray": (save(PIL.Image.new("L", (4, 4)), "PNG"), 422),
-}
-
-
-@pytest.mark.fault("S4")
-@pytest.mark.parametrize("name", ODD)
-def test_an_odd_file_is_converted_as_documented_or_refused(faulty: Any, refusal: Any, name: str) -> None:
-    data, status = ODD[name]
-    reply = send(faulty, data)
-    assert reply.status_code == status
-    if status != 200:
-        refusal(reply, status)
-
-
 @pytest.mark.fault("S5")
 def test_the_limit_is_on_what_is_sent_and_not_on_what_it_decodes_to(faulty: Any, refusal: Any) -> None:
     body = b'{"images": [{"encoding": "png", "data": "%s"}]}' % (b"A" * (64 * MiB))
