@@ -1,14 +1,14 @@
 """A LeRobotDataset v3 of images, written with pyarrow alone: actions and brightness tell its three episodes."""
 
-import io
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import PIL.Image
 import pyarrow as pa
 import pyarrow.parquet as pq
+
+from freerein import images
 
 STEPS = 5
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
@@ -25,9 +25,7 @@ INFO: dict[str, Any] = {
 
 def png(level: int, shape: tuple[int, ...] = (4, 6, 3)) -> dict[str, Any]:
     """Returns a frame of one brightness, as LeRobot stores images."""
-    buffer = io.BytesIO()
-    PIL.Image.fromarray(np.full(shape, level, np.uint8)).save(buffer, "PNG")
-    return {"bytes": buffer.getvalue(), "path": None}
+    return {"bytes": images.encode(np.full(shape, level, np.uint8)).data, "path": None}
 
 
 def rows_of(episode: int) -> dict[str, Any]:

@@ -87,8 +87,10 @@ def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]
     cells_of_targets = []
     for target in targets:
         study, rows = by_world[target.world]
-        made.append(_target_claim(report, study, target.counted(rows), target))
-        cells_of_targets.append(_target_cells(target, made[-1], target.counted(rows)))
+        counted = target.counted(rows)
+        row, figure = target.row(counted), target.figure
+        made.append(_claim(report, study, counted, name=target.claim, row=row, figure=figure, target=target))
+        cells_of_targets.append(_target_cells(target, made[-1], counted))
     if targets:
         sections.append(Section(_CLAIM_HEADER, tuple(cells_of_targets), title="Claims"))
     for study, rows in by_world.values():
@@ -176,10 +178,6 @@ def _moved_claim(report: Report, study: Study, rows: Rows, row: Row) -> Claim:
     arms, samples = rows.arms[row], moved_samples(rows, row)
     scale, command = _scale(report, study), _command(report, arms)
     return claims.claim_of(name, arms, samples, unit=PER_CENT, seeds=len(samples), scale=scale, command=command)
-
-
-def _target_claim(report: Report, study: Study, rows: Rows, target: Target) -> Claim:
-    return _claim(report, study, rows, name=target.claim, row=target.row(rows), figure=target.figure, target=target)
 
 
 def _target_cells(target: Target, claim: Claim, rows: Rows) -> tuple[str, ...]:

@@ -1,6 +1,5 @@
 """The reward service in the contract suite: models that say what they are told to, and requests to them."""
 
-import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -9,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import PIL.Image
 
+from freerein import images
 from freerein.goal_text import Grammar
 from freerein.serving.health import Health
 from freerein.serving.lifecycle import Service
@@ -86,9 +85,7 @@ def load(folder: Path, _device: str) -> Any:
 
 
 def png(height: int, width: int, camera: str = "") -> Image:
-    buffer = io.BytesIO()
-    PIL.Image.new("RGB", (width, height)).save(buffer, "PNG")
-    return Image("png", 0, 0, buffer.getvalue(), camera)
+    return images.encode(np.zeros((height, width, 3), np.uint8), camera=camera)
 
 
 Cases = list[tuple[str, Any, str]]

@@ -4,8 +4,6 @@ A service joins by a row in `SERVICES`: how to build it, and requests with what 
 """
 
 import asyncio
-import importlib.util
-import io
 import json
 import math
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -18,11 +16,11 @@ from typing import Any
 import grpc
 import numpy as np
 import numpy.typing as npt
-import PIL.Image
 import pytest
 import pytest_asyncio
 from google.protobuf.descriptor import Descriptor
 from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
+from tests.contract import dataset_cases, imitation_cases, reward_cases, run_cases
 
 from freerein import errors, wire
 from freerein.api.learning.v1 import learning_pb2
@@ -68,16 +66,6 @@ class Row:
 
     build: Build
     cases: tuple[Case, ...]
-
-
-def beside(name: str) -> Any:
-    """Returns a module of this folder, which is no package: a service with many cases has a file of its own."""
-    spec = importlib.util.spec_from_file_location(f"contract_{name}", Path(__file__).with_name(f"{name}.py"))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def publish_model(root: Path, name: str = "") -> ModelStore:
@@ -186,12 +174,6 @@ def segment(code: str = ANSWER, **fields: Any) -> Case:
     return Case("Segment", segmentation.SegmentRequest(**{"frames": FRAMES, "actions": ACTIONS, **fields}), code)
 
 
-def png(height: int, width: int) -> Image:
-    buffer = io.BytesIO()
-    PIL.Image.new("RGB", (width, height)).save(buffer, "PNG")
-    return Image("png", 0, 0, buffer.getvalue())
-
-
 SEGMENTATION_CASES = (
     Case("ListSkills", segmentation.ListSkillsRequest()),
     Case("ListSkills", segmentation.ListSkillsRequest(ModelRef("default", VERSION))),
@@ -200,16 +182,16 @@ SEGMENTATION_CASES = (
     Case("ListSkills", segmentation.ListSkillsRequest(ModelRef("", "../x")), "invalid_input"),
     segment(),
     segment(model=ModelRef("default", VERSION), min_segment=2, smoothing=1.5, min_confidence=0.5, min_kept=2),
-    segment(frames=None, images=(png(2, 3),) * 4),
+    segment(frames=None, images=(reward_cases.png(2, 3),) * 4),
     segment(frames=FRAMES[:1], actions=ACTIONS[:1]),
-    segment("invalid_input", images=(png(2, 3),) * 4),
+    segment("invalid_input", images=(reward_cases.png(2, 3),) * 4),
     segment("invalid_input", frames=None),
     segment("invalid_input", video=b"\0\0\0\x18ftypmp42"),
     segment("invalid_input", frames=None, video=b"\0\0\0\x18ftypmp42"),
     segment("unsupported_media", frames=None, video=b"GIF89a"),
     segment("invalid_input", frames=None, video=b"GIF89a", actions=ACTIONS + np.float32(1.5)),
     segment("invalid_input", frames=None, video=b"GIF89a", actions=np.array(0, np.float32)),
-    segment("invalid_input", frames=None, images=(png(2, 3), png(3, 2)), actions=ACTIONS[:2]),
+    segment("invalid_input", frames=None, images=(reward_cases.png(2, 3), reward_cases.png(3, 2)), actions=ACTIONS[:2]),
     segment("unsupported_media", frames=None, images=(Image("png", 0, 0, b"GIF89a"),)),
     segment("invalid_input", frames=None, images=(Image("raw_rgb8", 2, 3, b"\0"),)),
     segment("invalid_input", frames=FRAMES.astype(np.float32)),
@@ -234,9 +216,6 @@ SEGMENTATION_CASES = (
 )
 
 # --- imitation, reward and the orchestrator
-
-imitation_cases, reward_cases, run_cases = beside("imitation_cases"), beside("reward_cases"), beside("run_cases")
-dataset_cases = beside("dataset_cases")
 
 
 def build_imitation(data_dir: Path, health: Health) -> Service:

@@ -1,6 +1,5 @@
 """The blocks of docs/lerobot.md, as a user runs them; the one that needs LeRobot runs in `make compat`."""
 
-import io
 import json
 import os
 from collections.abc import Callable, Sequence
@@ -16,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from freerein.data import Dataset, labels
+from freerein.images import encode
 
 HEIGHT, WIDTH, STEPS, EPISODES = 96, 128, 8, 20
 COLOURS, SKILLS = ((215, 30, 30), (30, 70, 220)), ("pour", "reach")
@@ -73,9 +73,8 @@ def record(root: Path) -> list[tuple[int, ...]]:
             middle = np.array([WIDTH, HEIGHT]) / 2 + rng.uniform(-8, 8, 2)
             middle = middle - STEPS / 2 * (moved(middle, degrees) - middle)
             for _ in range(STEPS):
-                frame = io.BytesIO()
-                PIL.Image.fromarray(drawn(middle, skill)).save(frame, "PNG")
-                image, vector = {"bytes": frame.getvalue(), "path": None}, degrees.tolist()
+                image = {"bytes": encode(drawn(middle, skill)).data, "path": None}
+                vector = degrees.tolist()
                 rows.append({"observation.images.front": image, "observation.images.wrist": image})
                 rows[-1] |= {"observation.state": vector, "action": vector, "episode_index": episode}
                 middle = moved(middle, degrees)

@@ -1,7 +1,6 @@
 """The example's robot over real services, one of which is killed: it holds, goes on, and executes nothing expired."""
 
 import asyncio
-import importlib.util
 import re
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from typing import Any
 
 import pytest
 import torch
+from examples import robot_controller
 from tests.waiting import wait_until
 
 from freerein.clients import Channel, ImitationClient, SimClient
@@ -24,19 +24,8 @@ from freerein_imitation.methods.goal_conditioned.network import GoalConditionedN
 from freerein_imitation.model.policy import ControlSpec
 
 pytestmark = pytest.mark.e2e
-EXAMPLE = Path(__file__).parents[2] / "examples" / "robot_controller.py"
 GOAL = Goal((Image("raw_rgb8", 64, 64, bytes(64 * 64 * 3)),))
 ACTION = ActionSpec(3, 0, ("dy", "dz", "gripper"), "m", (0.05, 0.05, 0.02))
-
-
-@pytest.fixture(scope="module")
-def example() -> Any:
-    spec = importlib.util.spec_from_file_location("robot_controller", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def publish_policy(data_dir: Path, *, reached_threshold: float) -> None:
@@ -56,13 +45,13 @@ def publish_policy(data_dir: Path, *, reached_threshold: float) -> None:
 class Recorder:
     """A policy's client that writes down what was answered, and a robot that writes down what was executed when."""
 
-    def __init__(self, example: Any, robot: Any, client: ImitationClient, goal: Goal) -> None:
+    def __init__(self, robot: Any, client: ImitationClient, goal: Goal) -> None:
         self.chunks: list[Any] = []
         self.executed: list[tuple[int, bytes]] = []
         self._client = client
         self._execute = robot.execute
         robot.execute = self.execute
-        self.controller = example.Controller(robot, self, goal)
+        self.controller = robot_controller.Controller(robot, self, goal)
 
     async def control(self, requests: Any) -> Any:
         async for reply in self._client.control(requests):
@@ -98,12 +87,12 @@ def start(start_service: Callable[..., Any], tmp_path: Path) -> Callable[..., An
 @pytest.mark.fault("I7")
 @pytest.mark.fault("I8")
 async def test_a_robot_holds_while_the_service_is_dead_then_goes_on_and_executes_nothing_that_expired(
-    sim: str, start: Callable[..., Any], tmp_path: Path, example: Any
+    sim: str, start: Callable[..., Any], tmp_path: Path
 ) -> None:
     publish_policy(tmp_path, reached_threshold=1.0)
     service = await start()
     async with SimClient(Channel(sim)) as worlds, ImitationClient(Channel(service.address)) as client:
-        recorder = Recorder(example, await example.start_robot(worlds, "blocks", seed=1), client, GOAL)
+        recorder = Recorder(await robot_controller.start_robot(worlds, "blocks", seed=1), client, GOAL)
         driving = asyncio.create_task(recorder.controller.run())
         await until(lambda: len(moves(recorder.executed)) >= 20)
         service.kill()
@@ -117,39 +106,39 @@ async def test_a_robot_holds_while_the_service_is_dead_then_goes_on_and_executes
     check_record(recorder)
 
 
-async def test_a_robot_stops_at_its_goal(sim: str, start: Callable[..., Any], tmp_path: Path, example: Any) -> None:
+async def test_a_robot_stops_at_its_goal(sim: str, start: Callable[..., Any], tmp_path: Path) -> None:
     publish_policy(tmp_path, reached_threshold=0.0)
     service = await start()
     async with SimClient(Channel(sim)) as worlds, ImitationClient(Channel(service.address)) as client:
-        controller = example.Controller(await example.start_robot(worlds, "blocks", seed=1), client, GOAL)
+        controller = robot_controller.Controller(
+            await robot_controller.start_robot(worlds, "blocks", seed=1), client, GOAL
+        )
         await asyncio.wait_for(controller.run(), 300)
     assert controller.last.goal_reached
 
 
-async def test_it_runs_as_its_docstring_says_and_reaches_its_goal(
-    sim: str, start: Callable[..., Any], example: Any
-) -> None:
+async def test_it_runs_as_its_docstring_says_and_reaches_its_goal(sim: str, start: Callable[..., Any]) -> None:
     services = ["--sim", sim, "--imitation", (await start()).address]  # with the shipped models
-    start_line, command = re.findall(r"^    (\S.*)$", example.__doc__, re.MULTILINE)
+    start_line, command = re.findall(r"^    (\S.*)$", robot_controller.__doc__, re.MULTILINE)
     python, script, *arguments = command.split()
     assert (start_line, python) == ("freerein up", "python")
-    run = [sys.executable, EXAMPLE.parents[1] / script, *arguments, *services]
+    run = [sys.executable, Path(__file__).parents[2] / script, *arguments, *services]
     ran = await asyncio.to_thread(subprocess.run, run, capture_output=True, text=True, check=False, timeout=300)
     assert (ran.returncode, ran.stderr.splitlines()[-1:]) == (0, ["INFO:__main__:reached"]), ran.stderr
 
 
 async def test_what_another_try_would_not_mend_ends_the_drive(
-    sim: str, start: Callable[..., Any], tmp_path: Path, example: Any
+    sim: str, start: Callable[..., Any], tmp_path: Path
 ) -> None:
     publish_policy(tmp_path, reached_threshold=1.0)
     service = await start(FREEREIN_TOKEN="secret")
     small = Goal((Image("raw_rgb8", 32, 32, bytes(32 * 32 * 3)),))
     async with SimClient(Channel(sim)) as worlds:
-        robot = await example.start_robot(worlds, "blocks", seed=1)
+        robot = await robot_controller.start_robot(worlds, "blocks", seed=1)
         for token, goal, expected in (("secret", small, InvalidInput), ("guess", GOAL, Unauthenticated)):
             async with ImitationClient(Channel(service.address, token=token)) as client:
                 with pytest.raises(expected):
-                    await asyncio.wait_for(example.Controller(robot, client, goal).run(), 300)
+                    await asyncio.wait_for(robot_controller.Controller(robot, client, goal).run(), 300)
 
 
 def check_record(recorder: Recorder) -> None:

@@ -14,7 +14,6 @@ from freerein import wire
 from freerein.api.common.v1 import common_pb2
 from freerein.api.imitation.v1 import imitation_pb2
 from freerein.clients import Channel, ImitationClient
-from freerein.errors import FailedPrecondition
 from freerein.serving.limits import Limits
 
 pytestmark = pytest.mark.e2e
@@ -117,17 +116,6 @@ async def test_a_message_of_just_the_limit_is_read_and_one_byte_more_ends_the_st
     with pytest.raises((grpc.aio.AioRpcError, asyncio.InvalidStateError)):
         await ask(raw, message + b"\0")
     assert await raw.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
-
-
-@pytest.mark.fault("I4")
-@pytest.mark.parametrize("before", [0, 1, 2])
-async def test_what_breaks_the_protocol_ends_the_stream_with_a_status(client: ImitationClient, before: int) -> None:
-    stream, heard = robots.Stream(client.control), [robots.hello(), robots.seen(1)][:before]
-    for request in heard:
-        await stream.ask(request)
-    with pytest.raises(FailedPrecondition) as error:
-        await stream.ask(robots.hello() if heard else robots.seen(1))
-    assert error.value.field == "hello"
 
 
 @pytest.mark.fault("I5")

@@ -207,63 +207,6 @@ def test_a_format_that_is_not_served_is_not_opened(faulty: Any, refusal: Any, au
     assert elsewhere(faulty, audit, before) == []
 
 
-@pytest.mark.fault("S3")
-@pytest.mark.parametrize("encoding", ["png", "jpeg", "webp"])
-def test_a_file_cut_at_any_byte_is_refused_in_our_words(faulty: Any, refusal: Any, encoding: str) -> None:
-    whole = save(SMALL, encoding)
-    for cut in range(0, len(whole), max(1, len(whole) // 60)):
-        reply = send(faulty, whole[:cut])
-        if reply.status_code != 200:  # nothing of the picture may be missing
-            assert "images" in refusal(reply, 415, 422)["detail"]
-
-
-ODD: dict[str, tuple[bytes, int]] = {
-    "animated png": (save(SMALL, "PNG", save_all=True, append_images=[SMALL.rotate(90)]), 422),
-    "animated webp": (save(SMALL, "WEBP", save_all=True, append_images=[SMALL.rotate(90)]), 422),
-    "16-bit gray": (png(4, 4, depth=16, raw=bytes(36)), 422),
-    "16-bit colour": (png(4, 4, depth=16, colour=2, raw=bytes(100)), 422),
-    "16-bit colour behind a text": (
-        png(4, 4, depth=16, colour=2, raw=bytes(100), before=chunk(b"tEXt", bytes(9))),
-        422,
-    ),
-    "cmyk": (save(PIL.Image.new("CMYK", (4, 4), (0, 0, 0, 255)), "JPEG"), 200),
-    "palette with alpha": (save(SMALL.quantize(8), "PNG", transparency=bytes(8)), 200),
-    "turned by exif": (save(SMALL, "JPEG", exif=b"Exif\0\0II*\0\x08\0\0\0\1\0\x12\1\3\0\1\0\0\0\6\0\0\0\0\0\0\0"), 200),
-    "no pixels": (png(0, 0), 422),
-    "one row": (save(PIL.Image.new("RGB", (100_000, 1)), "PNG"), 422),
-    "gray": (save(PIL.Image.new("L", (4, 4)), "PNG"), 422),
-}
-
-
-@pytest.mark.fault("S4")
-@pytest.mark.parametrize("name", ODD)
-def test_an_odd_file_is_converted_as_documented_or_refused(faulty: Any, refusal: Any, name: str) -> None:
-    data, status = ODD[name]
-    reply = send(faulty, data)
-    assert reply.status_code == status
-    if status != 200:
-        refusal(reply, status)
-
-
-@pytest.mark.fault("S5")
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda text: text[:-1],
-        lambda text: text + "=",
-        lambda text: text + "\n",
-        lambda text: text[:8] + " " + text[8:],
-        lambda text: text.replace("+", "-").replace("/", "_") + "-",
-        lambda text: "data:image/png;base64," + text,
-        lambda text: text + "====",
-        lambda _text: "é",
-    ],
-)
-def test_base64_is_strict(faulty: Any, refusal: Any, spoil: Callable[[str], str]) -> None:
-    text = base64.b64encode(save(SMALL, "PNG") + b"x").decode()
-    refusal(send_json(faulty, {"encoding": "png", "data": spoil(text)}), 422)
-
-
 @pytest.mark.fault("S5")
 def test_the_limit_is_on_what_is_sent_and_not_on_what_it_decodes_to(faulty: Any, refusal: Any) -> None:
     body = b'{"images": [{"encoding": "png", "data": "%s"}]}' % (b"A" * (64 * MiB))
@@ -338,14 +281,6 @@ def latency(client: httpx.Client) -> float:
     begun = time.perf_counter()
     assert client.get("/healthz").status_code == 200
     return time.perf_counter() - begun
-
-
-@pytest.mark.fault("S9")
-def test_one_timestep_is_a_trajectory_and_none_is_not(faulty: Any, refusal: Any) -> None:
-    assert faulty.segment(7).json()["segments"] == [{"start": 0, "end": 1, "skill": "odd", "confidence": 1.0}]
-    empty = {"frames": {"datatype": "UINT8", "shape": [0, 4, 4, 3], "raw": ""}}
-    assert "T at least 1" in refusal(faulty.http.post(SEGMENT, json=empty), 422)["detail"]
-    refusal(faulty.http.post(SEGMENT, json={"images": []}), 422)
 
 
 @pytest.mark.fault("S9")

@@ -1,29 +1,18 @@
 """Told to stop, killed, or started wrongly: what was promised is kept, and the exit code says what happened."""
 
-import asyncio
-import signal
 import socket
 import time
 from collections.abc import Callable
-from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
 
-import grpc
-import httpx
-import numpy as np
 import psutil
 import pytest
 from tests.faults.demonstrations import record_demonstrations
 
-from freerein import wire
 from freerein.model_store import ModelStore
-from freerein.types.learning import WatchFitRequest
-from freerein.types.segmentation import SegmentRequest, SegmentResponse
 
 pytestmark = pytest.mark.e2e
-SEGMENT = "/freerein.api.segmentation.v1.SegmentationService/Segment"
-WATCH_FIT = "/freerein.api.learning.v1.FitService/WatchFit"
 FAULTY_SERVICE = "tests.faults.faulty_service"
 RunBadly = Callable[..., tuple[int, str]]
 CHECKPOINT_EVERY = 5
@@ -45,77 +34,6 @@ def fit(faulty: Any, fit_id: str) -> Any:
 
 
 # --- SIGTERM
-
-
-@pytest.mark.fault("C18")
-async def test_on_sigterm_it_answers_accepted_calls_and_refuses_new_ones(
-    start_faulty: Callable[..., Any], tmp_path: Path, wait_until: Any, repeats: int
-) -> None:
-    record_demonstrations(tmp_path)
-    for _ in range(repeats):
-        await stop_under_load(start_faulty(tmp_path), wait_until)
-
-
-async def stop_under_load(faulty: Any, wait_until: Any) -> None:
-    fit_id = start_fit(faulty)
-    await asyncio.to_thread(wait_until, lambda: fit(faulty, fit_id)["step"] > 0, 300)
-    child = faulty.jobs[0]
-    async with (
-        httpx.AsyncClient(base_url=faulty.service.url, timeout=60, trust_env=False) as client,
-        grpc.aio.insecure_channel(faulty.service.address) as channel,
-        AsyncExitStack() as closing,
-    ):
-        over_rest = [asyncio.create_task(client.post("/v1/segment", json=faulty.trajectory([0, 1], fault="held")))]
-        held = closing.enter_context(await asyncio.to_thread(faulty.hold))  # before the others: they wait behind it
-        over_rest += [
-            asyncio.create_task(client.post("/v1/segment", json=faulty.trajectory([n, n + 1]))) for n in range(1, 6)
-        ]
-        frames = np.zeros((2, 4, 4, 3), np.uint8)
-        frames[:, 0, 0, 2] = 7, 8
-        request = wire.pack(SegmentRequest(frames=frames)).SerializeToString()
-        over_grpc = [channel.unary_unary(SEGMENT)(request, timeout=60) for _ in range(3)]
-        watching = asyncio.create_task(client.get("/v1/watch-fit", params={"id": fit_id, "from_sequence": 10**6}))
-        stream = channel.unary_stream(WATCH_FIT)(wire.pack(WatchFitRequest(fit_id, 10**6)).SerializeToString())
-        over_stream = asyncio.ensure_future(stream.read())
-        await asyncio.to_thread(wait_until, lambda: faulty.metric(REST) == 8 and faulty.metric(GRPC) == 4, 60)
-
-        faulty.service.process.send_signal(signal.SIGTERM)
-        await asyncio.to_thread(wait_until, lambda: refuses(faulty), 60)
-        async with grpc.aio.insecure_channel(faulty.service.address) as late:
-            while await outcome(late.unary_unary("/any.Service/Any")(b"")) is not grpc.StatusCode.UNAVAILABLE:
-                pass  # for a moment, calls may have been sent before
-            with pytest.raises(grpc.aio.AioRpcError) as refused:
-                await late.unary_unary(SEGMENT)(request, timeout=60)
-        assert refused.value.code() is grpc.StatusCode.UNAVAILABLE
-
-        held.close()
-        for n, reply in enumerate(await asyncio.gather(*over_rest)):
-            assert reply.json()["labels"] == [n % 2, (n + 1) % 2]
-        for answer in await asyncio.gather(*over_grpc):
-            assert list(wire.message_type(SegmentResponse).FromString(answer).labels) == [1, 0]
-        assert (await watching).status_code == 200
-        assert await over_stream is grpc.aio.EOF
-    assert await asyncio.to_thread(faulty.service.process.wait, 60) == 0
-    assert not child.is_running()
-
-
-REST = 'freerein_calls_in_flight{protocol="rest"}'  # of which one is the reading of the metrics
-GRPC = 'freerein_calls_in_flight{protocol="grpc"}'
-
-
-async def outcome(call: Any) -> grpc.StatusCode:
-    """Returns the status of a call that fails."""
-    with pytest.raises(grpc.aio.AioRpcError) as error:
-        await call
-    return error.value.code()
-
-
-def refuses(faulty: Any) -> bool:
-    """Returns whether a new caller is refused: no connection, or not ready."""
-    try:
-        return not faulty.service.is_ready()
-    except ConnectionError:
-        return True
 
 
 @pytest.mark.fault("C18")
@@ -188,12 +106,8 @@ def reason(stderr: str) -> str:
     ("variable", "value", "fix"),
     [
         ("FREEREIN_HTTP_PORT", "http", "FREEREIN_HTTP_PORT: Input should be a valid integer"),
-        ("FREEREIN_GRPC_PORT", "70000", "FREEREIN_GRPC_PORT: Input should be less than"),
-        ("FREEREIN_QUEUE", "0", "FREEREIN_QUEUE: Input should be greater than"),
         ("FREEREIN_HOST", "0.0.0.0", "set FREEREIN_INSECURE=1"),
         ("FREEREIN_HOST", "no-such-host.invalid", "Set FREEREIN_HOST"),
-        ("FREEREIN_TLS_CERT", "/none", "must be set together"),
-        ("FREEREIN_DATA_DIR", "/dev/null", "must be a folder"),
         ("FREEREIN_TOKN", "abc", "did you mean `FREEREIN_TOKEN`?"),
     ],
 )

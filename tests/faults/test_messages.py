@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from freerein.api.common.v1 import common_pb2
-from freerein.api.learning.v1 import learning_pb2
 from freerein.api.segmentation.v1 import segmentation_pb2
 from freerein.errors import TooLarge
 from freerein.serving.limits import Limits
@@ -43,28 +42,6 @@ async def outcome(channel: grpc.aio.Channel, path: str, message: bytes) -> tuple
     return grpc.StatusCode.OK, ""
 
 
-@pytest.mark.fault("I2")
-@pytest.mark.parametrize("datatype", ["UINT8", "FP64", "FP16", "uint8", ""])
-async def test_a_tensor_that_lies_is_refused(channel: grpc.aio.Channel, datatype: str) -> None:
-    lies: list[tuple[list[int], bytes]] = [
-        ([1_000_000_000, 4, 4, 3], b"\0"),
-        ([2**62, 2**62], b""),
-        ([2**63 - 1], b"\0" * 8),
-        ([-1, 4, 4, 3], bytes(48)),
-        ([1, 4, 4, 3], bytes(47)),
-        ([1, 4, 4, 3], bytes(49)),
-        ([0, 4, 4, 3], b""),
-        ([1] * 1000, b"\0"),
-        ([], b"\0"),
-    ]
-    for shape, raw in lies:
-        frames = common_pb2.Tensor(datatype=datatype, shape=shape, raw=raw)
-        request = segmentation_pb2.SegmentRequest(frames=frames).SerializeToString()
-        code, details = await outcome(channel, SEGMENT, request)
-        assert code is INVALID, shape
-        assert "frames" in details
-
-
 @pytest.mark.parametrize(
     "message",
     [
@@ -81,13 +58,6 @@ async def test_a_tensor_that_lies_is_refused(channel: grpc.aio.Channel, datatype
 )
 async def test_a_value_out_of_bounds_is_refused(channel: grpc.aio.Channel, message: Any) -> None:
     assert (await outcome(channel, SEGMENT, message.SerializeToString()))[0] is INVALID
-
-
-@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
-async def test_free_form_values_are_finite_too(channel: grpc.aio.Channel, number: float) -> None:
-    request = learning_pb2.StartFitRequest(dataset="x")
-    request.config["a"] = number
-    assert (await outcome(channel, START_FIT, request.SerializeToString()))[0] is INVALID
 
 
 @pytest.mark.parametrize("depth", [31, 40, 1_000])
@@ -115,13 +85,6 @@ async def test_any_bytes_are_a_message_or_refused(faulty: Any, message: bytes) -
             assert (await outcome(channel, path, message))[0] in (INVALID, grpc.StatusCode.NOT_FOUND)
 
 
-@pytest.mark.parametrize("message", [b"\xff", b"\x0a\xff", b"\x12\x05\x0a\x01\xff\x12\x01", b"\0"])
-async def test_what_is_no_message_is_malformed(channel: grpc.aio.Channel, message: bytes) -> None:
-    code, details = await outcome(channel, SEGMENT, message)
-    assert code is INVALID
-    assert "SegmentRequest" in details
-
-
 @pytest.mark.fault("N4")
 async def test_fields_of_a_later_version_are_ignored(channel: grpc.aio.Channel) -> None:
     later = segmentation_pb2.SegmentRequest(frames=FRAMES).SerializeToString() + b"\xba\x3e\x03new"  # field 999
@@ -139,11 +102,6 @@ async def test_a_message_of_just_the_limit_is_read_and_one_byte_more_is_not(chan
     assert code is grpc.StatusCode.RESOURCE_EXHAUSTED
     assert TooLarge.grpc_status == code.name
     assert "larger than max" in details
-
-
-async def test_an_unknown_method_is_unimplemented(channel: grpc.aio.Channel) -> None:
-    path = SEGMENT.replace("Segment", "Unknown")
-    assert (await outcome(channel, path, b""))[0] is grpc.StatusCode.UNIMPLEMENTED
 
 
 @pytest.mark.parametrize("timeout_s", [0.0, 1e-6, 1e9])

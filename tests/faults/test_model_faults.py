@@ -38,21 +38,6 @@ def test_a_fault_of_the_model_is_told_as_one(faulty: Any, refusal: Any, fault: s
 
 
 @pytest.mark.fault("C16")
-@pytest.mark.parametrize(
-    ("fault", "status"),
-    [(1, grpc.StatusCode.UNAVAILABLE), (2, grpc.StatusCode.INVALID_ARGUMENT), (3, grpc.StatusCode.UNAVAILABLE)],
-)
-async def test_over_grpc_too(faulty: Any, fault: int, status: grpc.StatusCode) -> None:
-    frames = np.zeros((2, 4, 4, 3), np.uint8)
-    frames[0, 0, 0, 0] = fault
-    async with grpc.aio.insecure_channel(faulty.service.address) as channel:
-        with pytest.raises(grpc.aio.AioRpcError) as error:
-            await channel.unary_unary(PATH)(wire.pack(SegmentRequest(frames=frames)).SerializeToString(), timeout=60)
-    assert error.value.code() is status
-    assert "0x" not in str(error.value.details())
-
-
-@pytest.mark.fault("C16")
 def test_those_who_share_a_batch_with_a_poisonous_request_are_answered(faulty: Any, wait_until: Any) -> None:
     def segment(n: int, fault: str) -> httpx.Response:
         reply: httpx.Response = faulty.segment(n, n, fault=fault)

@@ -13,6 +13,8 @@ import numpy as np
 import PIL.Image
 import pytest
 
+from freerein.images import encode
+
 pytestmark = pytest.mark.e2e
 GOAL = "a red block on top of a yellow block"
 StartService = Callable[..., Any]
@@ -32,9 +34,7 @@ def reward(start_module_service: StartService) -> Iterator[httpx.Client]:
 
 
 def png(pixels: "np.ndarray[Any, Any]") -> bytes:
-    buffer = io.BytesIO()
-    PIL.Image.fromarray(pixels).save(buffer, "PNG")
-    return buffer.getvalue()
+    return encode(pixels).data
 
 
 RNG = np.random.default_rng(0)
@@ -42,7 +42,7 @@ IMAGES: Mapping[str, bytes] = {
     "black": png(np.zeros((64, 64, 3), np.uint8)),
     "white": png(np.full((64, 64, 3), 255, np.uint8)),
     "one colour": png(np.full((128, 96, 3), (200, 0, 0), np.uint8)),
-    "gray": png(RNG.integers(0, 255, (50, 70), np.uint8)),
+    "gray": png(RNG.integers(0, 255, (50, 70, 1), np.uint8)),
     "noise": png(RNG.integers(0, 255, (64, 64, 3), np.uint8)),
     "one pixel": png(np.zeros((1, 1, 3), np.uint8)),
     "a row": png(RNG.integers(0, 255, (1, 16_384, 3), np.uint8)),

@@ -122,12 +122,6 @@ async def test_what_breaks_the_protocol_or_states_no_goal_ends_the_stream(
     assert (refused.value.field, bool(refused.value.hint)) == (field, True)
 
 
-async def test_a_noun_that_nobody_knows_is_named_when_the_stream_opens_and_earns_nothing(client: Any) -> None:
-    opened, *replies = await heard(client, hello("a zeppelin", rivals=(GOAL,)), seen(0, front=FRAMES[0]))
-    assert opened.opened.unknown == ("zeppelin",)
-    assert [reply.reward.reward for reply in replies] == [0.0]
-
-
 @pytest.mark.fault("R7")
 async def test_streams_of_many_share_the_model_and_have_the_rewards_of_their_own(client: Any) -> None:
     sent = [seen(seq, front=frame) for seq, frame in enumerate(FRAMES)]

@@ -1,18 +1,17 @@
 """Bytes of a REST request to a dataclass, or to an error that says why not and repeats nothing of them."""
 
 import contextlib
-import io
 import json
 import tempfile
 from typing import Any, TypeVar
 
-import PIL.Image
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from starlette.requests import Request
 
-from freerein import wire
+from freerein import images, wire
 from freerein.errors import Cancelled, InvalidInput, MalformedRequest, OutOfStorage, ServiceError, UnsupportedMedia
 from freerein.serving.limits import FEW_VALUES, MAX_INLINE_IMAGE_BYTES
 from freerein.serving.rest import body
@@ -81,9 +80,7 @@ def form(*parts: bytes) -> bytes:
 
 
 def png() -> bytes:
-    buffer = io.BytesIO()
-    PIL.Image.new("L", (2, 2), 7).save(buffer, "PNG")
-    return buffer.getvalue()
+    return images.encode(np.full((2, 2, 1), 7, np.uint8)).data
 
 
 # --- JSON

@@ -1,6 +1,5 @@
 """Datasets of other tools: LeRobotDataset v3 written here with pyarrow alone, several trajectories to a file."""
 
-import io
 import itertools
 import json
 from collections.abc import Mapping
@@ -9,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import PIL.Image
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from freerein import images
 from freerein.data import Dataset, LeRobotSource, StepCache, check, import_trajectories, open_writer, verify
 from freerein.errors import InvalidInput, NotFound
 from freerein.learning.fit_dataset import FitDataset
@@ -53,7 +52,7 @@ def root(tmp_path: Path) -> Path:
     episode_of = np.repeat(np.arange(3), LENGTHS)
     table = pa.table(
         {
-            "observation.image": [{"bytes": png(pixels), "path": None} for pixels in PIXELS],
+            "observation.image": [{"bytes": images.encode(pixels).data, "path": None} for pixels in PIXELS],
             "observation.state": pa.array(STATES.tolist(), pa.list_(pa.float32())),
             "action": pa.array(ACTIONS.tolist(), pa.list_(pa.float32())),
             "episode_index": episode_of,
@@ -72,12 +71,6 @@ def root(tmp_path: Path) -> Path:
     (tmp_path / "meta/stats.json").write_text(json.dumps({"action": {"max": [4]}}))
     write_info(tmp_path)
     return tmp_path
-
-
-def png(pixels: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    PIL.Image.fromarray(pixels).save(buffer, "PNG")
-    return buffer.getvalue()
 
 
 def test_every_trajectory_of_a_shared_file_is_read(root: Path) -> None:

@@ -82,6 +82,7 @@ UPRIGHT = {  # EXIF's table: which way the stored rows and columns run
 }
 
 
+@pytest.mark.fault("S4")
 @pytest.mark.parametrize("orientation", UPRIGHT)
 def test_exif_orientation_is_applied_once(orientation: int) -> None:
     pixels = images.decode(file("jpeg", gray_jpeg(QUADRANTS, orientation)))
@@ -95,6 +96,7 @@ def test_a_turned_file_is_as_high_as_it_is_wide_on_disk(orientation: int) -> Non
     assert images.decode(file("jpeg", stored), size=size).shape == (*size, 1)
 
 
+@pytest.mark.fault("S4")
 @pytest.mark.parametrize(
     ("mode", "colour", "expected"),
     [
@@ -124,6 +126,7 @@ def test_alpha_is_dropped_and_bits_become_bytes(mode: str, colour: int | tuple[i
     assert images.decode(file("png", data))[0, 0].tolist() == expected
 
 
+@pytest.mark.fault("S4")
 @pytest.mark.parametrize("transparency", [None, 0, b"\x00\x80"])
 def test_a_palette_becomes_rgb_whatever_of_it_is_transparent(transparency: int | bytes | None) -> None:
     palette = PIL.Image.new("P", (2, 1))
@@ -156,6 +159,7 @@ def test_the_orientation_of_another_file_than_a_jpeg_is_not_applied(encoding: En
 # --- what is refused
 
 
+@pytest.mark.fault("S4")
 @pytest.mark.parametrize(("colour", "channels"), [(0, 1), (2, 3), (4, 2), (6, 4)])
 def test_more_than_eight_bits_per_channel_are_refused(colour: int, channels: int) -> None:
     data = png(1, 1, depth=16, colour=colour, raw=b"\0" + b"\x12\x34" * channels)
@@ -173,6 +177,7 @@ def test_only_a_header_that_comes_first_and_once_says_how_many_bits_there_are() 
             images.decode(file("png", data))
 
 
+@pytest.mark.fault("S4")
 @pytest.mark.parametrize("encoding", ["png", "webp"])
 def test_an_animation_is_refused(encoding: Encoding) -> None:
     frames = [PIL.Image.new("RGB", (4, 4), colour) for colour in ("red", "green", "blue")]
@@ -385,6 +390,7 @@ def decoded(encoding: Encoding, data: bytes) -> npt.NDArray[np.uint8] | ServiceE
         return error
 
 
+@pytest.mark.fault("S3")
 @pytest.mark.parametrize("encoding", FILES)
 def test_a_file_cut_at_any_byte_is_an_error_of_ours(encoding: Encoding) -> None:
     pixels = images.decode(file(encoding, WHOLE[encoding]))

@@ -1,33 +1,21 @@
 """What the example's controller logs of holds, with a policy whose answers are written down here."""
 
-import importlib.util
 import logging
 import re
 import time
 from collections.abc import AsyncIterator
-from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from examples import robot_controller
 
 from freerein.errors import Unavailable
 from freerein.types.common import ActionSpec, Camera, Error, Goal, Observation
 from freerein.types.imitation import Chunk, ControlRequest, ControlResponse
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "robot_controller.py"
 HORIZON_NS = 60_000_000_000
-
-
-@pytest.fixture(scope="module")
-def example() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("example_controller", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 class OwnRobot:
@@ -75,22 +63,20 @@ def chunk(actions: Any) -> Chunk:
     return SimpleNamespace(actions=actions, state=b"", valid_until_ns=time.monotonic_ns() + HORIZON_NS)  # type: ignore[return-value]
 
 
-async def test_a_hold_its_reasons_and_its_end_are_logged_once_each(
-    example: ModuleType, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_hold_its_reasons_and_its_end_are_logged_once_each(caplog: pytest.LogCaptureFixture) -> None:
     robot = OwnRobot()
     dirty = "A lens is dirty."
     policy = Policy((None, None), (3, None, None, None, None, *9 * (dirty,)), (0,))
 
     with caplog.at_level(logging.INFO):
-        await example.Controller(robot, policy, Goal(text="push")).run()
+        await robot_controller.Controller(robot, policy, Goal(text="push")).run()
 
     told = [re.sub(r"\d+", "N", record.getMessage()) for record in caplog.records]
     assert told == [
         "step N: holds: no actions have come yet",
         "step N: holds: The service cannot be reached.",
         "step N: goes on; it held for N steps",
-        f"step N: holds: {example._OVER}",
+        f"step N: holds: {robot_controller._OVER}",
         "step N: holds: A lens is dirty.",
         "step N: holds: The service cannot be reached.",
     ]

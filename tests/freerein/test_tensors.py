@@ -43,6 +43,7 @@ def test_whatever_a_header_says_the_answer_is_an_array_of_those_bytes_or_invalid
         assert outcome.shape == tuple(shape)
 
 
+@pytest.mark.fault("I2")
 @pytest.mark.parametrize(
     ("shape", "raw"),
     [

@@ -10,8 +10,8 @@ import pytest
 from tests.faults import control_robot as robots
 from tests.faults import faulty_policy as policies
 
-from freerein.errors import FailedPrecondition, InvalidInput, NotFound, ServiceError
-from freerein.types.common import Camera, Goal, Image, ModelRef, Observation
+from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
+from freerein.types.common import Camera, Goal, Image, Observation
 from freerein.types.imitation import GetSpecRequest
 from freerein.types.learning import ActivateModelRequest
 from freerein_imitation.core.inputs import parse_frames, parse_goal, parse_robot_state
@@ -151,11 +151,6 @@ async def test_a_state_of_the_robot_changes_nothing_where_the_model_takes_none(c
     assert (await core.act.get_spec(GetSpecRequest())).robot_state_size == 0
 
 
-async def test_another_model_than_there_is_is_not_found(core: Any) -> None:
-    with pytest.raises(NotFound):
-        await core.act.act(robots.asked(1, 3, model=ModelRef("", "0" * 12)))
-
-
 async def test_nothing_executed_is_told_from_something(core: Any) -> None:
     none = await core.act.act(robots.asked(1, 3))
     empty = await core.act.act(robots.asked(1, 3, executed_actions=np.zeros((0, 2), np.float32)))
@@ -175,15 +170,6 @@ async def test_a_request_may_give_its_goals_less_time(core: Any) -> None:
     second = await core.act.act(robots.asked(1, 3, max_steps_per_goal=1, state=first.state))
     assert (second.goal_index, second.goal_abandoned, second.goal_reached, len(second.actions)) == (1, True, False, 0)
     assert (second.done, second.done_by) == ("yes", "step_limit")
-
-
-@pytest.mark.fault("I14")
-@pytest.mark.parametrize(("fault", "code"), [("raises", "model_fault"), ("nan", "output_not_finite")])
-async def test_a_fault_of_the_policy_is_told_as_one(core: Any, fault: str, code: str) -> None:
-    request = replace(robots.asked(1, 3), observation=Observation((robots.picture(1, fault=fault),)))
-    with pytest.raises(ServiceError) as error:
-        await core.act.act(request)
-    assert error.value.code == code
 
 
 @pytest.mark.parametrize("recipe", [("reach", "jump"), (), ("reach",) * 257])

@@ -267,12 +267,6 @@ def test_discrete_actions_are_learned_from_without_odometry() -> None:
     assert ((step.reached >= 0) & (step.reached <= 1)).all()
 
 
-def test_a_configuration_is_read_strictly() -> None:
-    for wrong in ({"labels": True}, {"encoder": "eye"}, {"close_steps": 20}):
-        with pytest.raises(InvalidInput):
-            GoalCloningConfig.from_mapping(wrong)
-
-
 def test_actions_that_are_targets_are_refused(tmp_path: Path) -> None:
     action = ActionSpec(2, 0, ("elbow", "wrist"), absolute=True)
     spec = DatasetSpec(fps=10, cameras={"front": (8, 8, 3)}, action=action, robot_type="arm")

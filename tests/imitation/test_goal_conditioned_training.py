@@ -257,27 +257,5 @@ def test_a_configuration_is_read_strictly_from_the_numbers_of_a_struct() -> None
             GoalConditionedConfig.from_mapping(wrong)
 
 
-def test_two_cameras_of_different_sizes_are_both_learned_from() -> None:
-    """The front camera shows rows alone, and the side camera, which is larger, columns alone."""
-    both, config = explore(8, seed=0), replace(FAST, encoder="moments", features=30, embedding_size=15, lr=3e-3)
-    front = [each.mean(axis=2, keepdims=True).astype(np.uint8).repeat(SIDE, axis=2) for each in frames_of(both)]
-    side = [
-        np.pad(each.max(axis=1, keepdims=True), ((0, 0), (0, 19), (2, 2), (0, 0)), "edge") for each in frames_of(both)
-    ]
-    cameras = (Camera("front", SIDE, SIDE, 1), Camera("side", 20, 20, 1))
-    data = Trajectories({"front": front, "side": side}, both.actions)
-    made = learner(config, (data, data), cameras=cameras)
-    state = made.init(torch.Generator().manual_seed(0))
-    before = made.evaluate(state)
-    for _ in range(10):
-        state, _ = made.update(state, np.arange(8))
-    assert made.evaluate(state) < before
-    policy = GoalImagesPolicy(state.network, ControlSpec(0.1, 0.9, 30))
-    frames = {"front": front[0][:3], "side": side[0][:3]}
-    for camera, seen in frames.items():
-        other = frames | {camera: 255 - seen}
-        assert not np.allclose(policy.encode_goals(frames), policy.encode_goals(other))
-
-
 def frames_of(trajectories: Trajectories) -> list[npt.NDArray[np.uint8]]:
     return [trajectories.frames["front"][item] for item in range(len(trajectories))]

@@ -1,18 +1,18 @@
 """Images of other sizes than the model's, by all doors."""
 
-import io
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import PIL.Image
 import pytest
 from tests.faults import control_robot as robots
 from tests.faults import faulty_policy as policies
 
 from freerein.errors import InvalidInput
+from freerein.images import encode
 from freerein.serving.batcher import Batcher
 from freerein.serving.metrics import Metrics
 from freerein.types.common import Camera, Goal, Image, ModelRef, Observation
@@ -34,12 +34,6 @@ def stripes(height: int, width: int, *, channels: int = 3) -> Pixels:
 def raw(pixels: Pixels) -> Image:
     encoding: Any = "raw_rgb8" if pixels.shape[2] == 3 else "raw_gray8"
     return Image(encoding, *pixels.shape[:2], pixels.tobytes(), "front")
-
-
-def png(pixels: Pixels) -> Image:
-    file = io.BytesIO()
-    PIL.Image.fromarray(pixels).save(file, "PNG")
-    return Image("png", 0, 0, file.getvalue(), "front")
 
 
 def test_fit_shows_the_whole_picture_between_black_bars() -> None:
@@ -74,12 +68,12 @@ def test_any_size_becomes_the_cameras(mode: Any, size: tuple[int, int]) -> None:
         assert (resized.shape, resized.dtype) == ((camera.height, camera.width, camera.channels), np.uint8)
 
 
-@pytest.mark.parametrize("encode", [raw, png])
+@pytest.mark.parametrize("as_image", [raw, partial(encode, camera="front")])
 async def test_act_resizes_observation_and_goal_on_request_and_says_so(
-    core: Any, encode: Callable[[Pixels], Image]
+    core: Any, as_image: Callable[[Pixels], Image]
 ) -> None:
     large, small = stripes(6, 12), Resizer("crop").resized(stripes(6, 12), CAMERA)
-    request = replace(robots.asked(1, 3), observation=Observation((encode(large),)), goal=Goal((encode(large),)))
+    request = replace(robots.asked(1, 3), observation=Observation((as_image(large),)), goal=Goal((as_image(large),)))
     with pytest.raises(InvalidInput, match="as in training") as error:
         await core.act.act(request)
     assert "`resize`" in error.value.hint

@@ -1,6 +1,5 @@
 """Skill cloning with the robot's own state: a LeRobot dataset whose images tell nothing, and actions at every door."""
 
-import io
 import json
 import shutil
 from collections.abc import AsyncIterator, Callable
@@ -10,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import PIL.Image
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
 from tests.faults import control_robot as robots
 
+from freerein import images
 from freerein.data import LeRobotSource, dataset_path, import_trajectories
 from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.errors import InvalidInput
@@ -74,19 +73,15 @@ def shown_action(state: Floats, skill: int) -> Floats:
     return (state[:, :1] / 100) * np.float32(1 if skill else -1)
 
 
-def png(pixels: npt.NDArray[np.uint8]) -> bytes:
-    buffer = io.BytesIO()
-    PIL.Image.fromarray(pixels).save(buffer, "PNG")
-    return buffer.getvalue()
-
-
 def record(root: Path) -> None:
     """Writes a LeRobotDataset v3 as other tools do, of one file; odd episodes show the second skill."""
     rng = np.random.default_rng(0)
     state = states(rng, EPISODES * STEPS)
     action = np.concatenate([shown_action(each, skill % 2) for skill, each in enumerate(np.split(state, EPISODES))])
     rows = {
-        "observation.images.front": [{"bytes": png(each), "path": None} for each in frames(rng, len(state))],
+        "observation.images.front": [
+            {"bytes": images.encode(each).data, "path": None} for each in frames(rng, len(state))
+        ],
         "observation.state": pa.array(state.tolist(), pa.list_(pa.float32())),
         "action": pa.array(action.tolist(), pa.list_(pa.float32())),
         "episode_index": np.repeat(np.arange(EPISODES), STEPS),

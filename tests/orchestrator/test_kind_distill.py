@@ -69,29 +69,6 @@ def distillation(new_run: Callable[..., Any], data_dir: Path, sim: str) -> Calla
     return new
 
 
-@pytest.mark.long
-@pytest.mark.fault("O1")
-def test_a_run_killed_during_rollouts_and_during_its_fit_comes_to_the_same_dataset_and_fits_once(
-    distillation: Callable[..., Any], start_service: Callable[..., Any], data_dir: Path
-) -> None:
-    """Of the same dataset a fit makes the same student, which takes seconds."""
-    address = start_service("freerein_imitation", data_dir, FREEREIN_SHIPPED_DIR="none").address
-    killed, fits = distillation(imitation=address), data_dir / "fits"
-    killed.kill_when(lambda: len(list((killed.folder / "rollouts" / "data").rglob("*.parquet"))) >= 3)
-    killed.kill_when(lambda: any(fits.rglob("request.json")))
-    assert killed.do()
-
-    undisturbed = distillation(dataset="undisturbed")
-    assert not undisturbed.do(stop=(undisturbed.folder / "artifacts" / "dataset.json").exists)  # and no fit
-    assert killed.artifact("dataset.json") == undisturbed.artifact("dataset.json") | {"dataset": "rollouts"}
-    assert len(list(fits.rglob("request.json"))) == 1
-    assert Dataset(dataset_path(data_dir, "rollouts")).goal_texts == (*["pick up all"] * 2, *["pick up nothing"] * 2)
-    assert killed.model.name == "language"
-    steps = [row["step"] for row in killed.rows]
-    assert (steps == sorted(set(steps)), steps[:2], steps[-1]) == (True, [2, 4], killed.kind.steps(killed.config))
-    assert "fit/validation_loss" in killed.rows[-1]
-
-
 @pytest.mark.long  # two fits of language policies
 @pytest.mark.fault("O1")
 def test_a_run_killed_during_rollouts_and_during_its_fits_comes_to_the_same_dataset_and_fits_each_student_once(

@@ -173,11 +173,6 @@ def test_in_wide_frames_stacked_objects_are_captioned_as_such(tmp_path: Path) ->
     assert captioned.relations.tolist() == [[[NO_CAPTION, on_top], [below, NO_CAPTION]]] * 2
 
 
-def test_a_configuration_names_the_only_camera_and_every_default(data_dir: Path) -> None:
-    config = METHODS.resolve(data_dir, "squares", {"phrases": PHRASES}, threads=2, grounding=GROUNDING)
-    assert (config["method"], config["cameras"], config["threads"]) == ("relation_captions", ("front",), 2)
-
-
 def test_a_fit_without_phrases_is_told_what_to_give(data_dir: Path) -> None:
     with pytest.raises(InvalidInput, match="2 to 16 distinct noun phrases") as refused:
         METHODS.resolve(data_dir, "squares", {}, threads=1, grounding=GROUNDING)

@@ -47,6 +47,7 @@ def test_every_task_that_comes_with_freerein_has_an_id() -> None:
     assert ids == {f"freerein/{task}-v0" for task in tasks()}
 
 
+@pytest.mark.fault("M11")
 @pytest.mark.parametrize(
     ("task", "steps", "conditions"),
     [

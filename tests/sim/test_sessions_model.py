@@ -189,6 +189,7 @@ class Clients(RuleBasedStateMachine):
 
 
 @pytest.mark.fault("M7")
+@pytest.mark.fault("M13")
 def test_sessions_answer_as_environments_in_process_whatever_is_asked(fork_worker: StartChild) -> None:
     with asyncio.Runner() as runner:
         service = Service(runner, fork_worker)

@@ -300,19 +300,6 @@ def test_a_forged_snapshot_is_refused_and_changes_nothing_or_is_a_state(data: st
 
 
 @pytest.mark.fault("M10")
-def test_a_snapshot_that_one_world_refuses_changes_none(begin: MakeEnvs) -> None:
-    envs = begin(num_envs=2)
-    before = envs.snapshot()
-    elsewhere = snapshots.decode(begin(num_envs=2, seed=1).snapshot())
-    forged = replace(elsewhere, envs=(elsewhere.envs[0], replace(elsewhere.envs[1], world=b"nowhere")))
-
-    with pytest.raises(InvalidInput):
-        envs.restore(snapshots.encode(forged))
-
-    assert envs.snapshot() == before
-
-
-@pytest.mark.fault("M10")
 def test_a_snapshot_of_another_task_build_or_number_is_refused(begin: MakeEnvs) -> None:
     envs = begin()
     ours = snapshots.decode(envs.snapshot())
@@ -325,29 +312,6 @@ def test_a_snapshot_of_another_task_build_or_number_is_refused(begin: MakeEnvs) 
     for snapshot in foreign:
         with pytest.raises(FailedPrecondition, match="of this session's task, build and conditions"):
             envs.restore(snapshot)
-
-
-@pytest.mark.parametrize("task", [GRID, BLOCKS], ids=["grid", "blocks"])
-def test_single_envs_go_on_as_envs_of_a_snapshot_and_the_others_as_they_were(
-    begin: MakeEnvs, make: MakeEnvs, task: TaskDefinition
-) -> None:
-    rng = np.random.default_rng(0)
-    actions = [some_actions(task, 3, rng) for _ in range(20)]
-    view = (task.spec.cameras[0].name,)
-    elsewhere, envs, twin = begin(task, num_envs=2, seed=1), begin(task), begin(task)
-    for action in actions[:10]:
-        elsewhere.step(action[:2])
-    for each in (envs, twin):
-        each.step(actions[0])
-    envs.restore(elsewhere.snapshot(), envs=[2, 0], sources=[1, 1])
-
-    assert envs.step_id == twin.step_id
-    for action in actions[10:]:
-        same = np.stack([action[2], action[1], action[2]])
-        frames, expected = envs.step(same, view).frames[view[0]], twin.step(same, view).frames[view[0]]
-        restored = elsewhere.step(np.stack([action[0], action[2]]), view).frames[view[0]]
-        np.testing.assert_array_equal(frames, [restored[1], expected[1], restored[1]])
-    np.testing.assert_array_equal(envs.reset(cameras=view).frames[view[0]], twin.reset(cameras=view).frames[view[0]])
 
 
 def test_a_size_beyond_the_cameras_is_refused_at_once(make: MakeEnvs) -> None:

@@ -171,7 +171,7 @@ def _start(fits: SyncClient, context: RunContext, config: FitRunConfig) -> Fit:
     fit = fits.start_fit(request).fit
     if fit.state == "cancelled" or (fit.state == "failed" and not _saved_id(context)):
         fit = fits.resume_fit(ResumeFitRequest(fit.id)).fit
-    _save_id(context, fit.id)
+    write_atomic(context.folder / "fit.json", json.dumps({"id": fit.id}).encode())
     return fit
 
 
@@ -185,10 +185,6 @@ def _cancel(fits: SyncClient, fit_id: str, context: RunContext) -> None:
 def _saved_id(context: RunContext) -> str:
     path = context.folder / "fit.json"
     return str(json.loads(path.read_bytes())["id"]) if path.is_file() else ""
-
-
-def _save_id(context: RunContext, fit_id: str) -> None:
-    write_atomic(context.folder / "fit.json", json.dumps({"id": fit_id}).encode())
 
 
 def _forget_id(context: RunContext) -> None:

@@ -79,6 +79,16 @@ class FixedOrder:
         return must_be("skills", f"all of the recipe {', '.join(self.recipe)}, in order", ", ".join(skills), hint=hint)
 
 
+def check_one(recipe: Sequence[str], *, kind: str = "skill", begin: str = "anywhere") -> None:
+    """Raises InvalidInput for a recipe of several skills, in a world whose episodes otherwise begin at `begin`."""
+    if len(recipe) > 1:
+        raise InvalidInput(
+            f"A recipe of this world is one {kind}; got {', '.join(recipe)}.",
+            field="skills",
+            hint=f"Leave the recipe out to begin {begin}.",
+        )
+
+
 def recipe_lengths(
     sampler: RecipeSampler, skills: Sequence[str], *, fewest: int = 0, most: int = 0, limit: int = 0
 ) -> tuple[int, int]:

@@ -7,9 +7,8 @@ import numpy.typing as npt
 import torch
 
 from freerein.goal_text import Grammar
-from freerein_reward.methods.criterion_captions.losses import channels_last
 from freerein_reward.methods.criterion_captions.network import CriterionNetwork
-from freerein_reward.model import ImageEmbeddings, PhraseLocations, heat_of_presence, preprocess
+from freerein_reward.model import ImageEmbeddings, PhraseLocations, channels_last, heat_of_presence, preprocess
 
 _MOMENTS_AT_ONCE = 16
 _CELL_PIXELS = 4

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from freerein_sim.worlds.doom.floor import AHEAD_UNITS, CELL_UNITS
-from freerein_sim.worlds.doom.simulation import DoomWorld, check_one_path
+from freerein_sim.worlds.doom.simulation import DoomWorld
 from freerein_sim.worlds.doom.spec import FORWARD, LEFT, NO_OP, RIGHT
+from freerein_sim.worlds.recipes import check_one
 from freerein_sim.worlds.walkable_grid import Places, smoothed
 from freerein_sim.worlds.world import LabelledAction, skill_indices
 
@@ -31,7 +32,7 @@ class PathExpert:
     """Walks to the end of a path from wherever it is; without a skill, of the episode's path, or of one it draws."""
 
     def __init__(self, world: DoomWorld, skills: Sequence[str], rng: np.random.Generator) -> None:
-        check_one_path(skills)
+        check_one(skills, kind="path")
         self._world = world
         self._floor = world.floor
         self._rng = rng

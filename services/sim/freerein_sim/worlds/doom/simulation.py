@@ -16,6 +16,7 @@ from freerein_sim.worlds.doom.engine import Engine, EngineObservation
 from freerein_sim.worlds.doom.floor import AHEAD_UNITS, CELL_UNITS
 from freerein_sim.worlds.doom.maps import DoomMap
 from freerein_sim.worlds.doom.spec import ALONG_PATH, start_spot
+from freerein_sim.worlds.recipes import check_one
 from freerein_sim.worlds.walkable_grid import WalkableGrid
 from freerein_sim.worlds.world import (
     Action,
@@ -90,7 +91,7 @@ class DoomWorld:
             WorkerLost: The engine has ended.
         """
         skill_indices(self.spec, recipe)
-        check_one_path(recipe)
+        check_one(recipe, kind="path")
         self._check_start(recipe)
         spot, heading = int(rng.choice(list(self.map.spots))), float(rng.uniform(0, 360))
         if self._start_spot is not None:
@@ -153,16 +154,6 @@ class DoomWorld:
         way = self.floor.way(begin, end)
         x, y = way[min(round(AHEAD_UNITS / CELL_UNITS), len(way) - 1)] - begin
         return math.degrees(math.atan2(y, x)) % 360
-
-
-def check_one_path(recipe: Sequence[str]) -> None:
-    """Raises InvalidInput for a recipe of several paths."""
-    if len(recipe) > 1:
-        raise InvalidInput(
-            f"A recipe of this world is one path; got {', '.join(recipe)}.",
-            field="skills",
-            hint="Leave the recipe out to begin anywhere.",
-        )
 
 
 def _not_begun() -> FailedPrecondition:

@@ -6,9 +6,10 @@ from itertools import pairwise
 import numpy as np
 
 from freerein_sim.worlds.office.plan import AHEAD_M, CELL_M
-from freerein_sim.worlds.office.simulation import OfficeWorld, check_one_skill
+from freerein_sim.worlds.office.simulation import OfficeWorld
 from freerein_sim.worlds.office.spec import FORWARD, LEFT, RIGHT, ROBOT_RADIUS_M
 from freerein_sim.worlds.office.starts import direction_deg, turn_deg
+from freerein_sim.worlds.recipes import check_one
 from freerein_sim.worlds.walkable_grid import Places, smoothed
 from freerein_sim.worlds.world import LabelledAction, skill_indices
 
@@ -31,7 +32,7 @@ class OfficeExpert:
     """Drives to the end of its skill from wherever it is; without a skill, of the episode's, or of one it draws."""
 
     def __init__(self, world: OfficeWorld, skills: Sequence[str], rng: np.random.Generator) -> None:
-        check_one_skill(skills)
+        check_one(skills)
         self._world = world
         (skill,) = tuple(skills) or world.recipe or (str(rng.choice(world.spec.skills)),)
         (self._skill,) = skill_indices(world.spec, [skill])

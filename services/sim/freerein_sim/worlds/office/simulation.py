@@ -6,7 +6,6 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from freerein.errors import InvalidInput
 from freerein_sim.worlds import generators
 from freerein_sim.worlds.conditions import light_scale
 from freerein_sim.worlds.mujoco_world import MakeWorldExpert, MujocoWorld
@@ -24,6 +23,7 @@ from freerein_sim.worlds.office.spec import (
     TURN_DEG,
 )
 from freerein_sim.worlds.office.starts import Pose
+from freerein_sim.worlds.recipes import check_one
 from freerein_sim.worlds.world import Action, GroundTruth, StepResult, check_actions, foreign_snapshot, skill_indices
 
 _LAYOUT = struct.Struct(f"<4sbB3d{generators.PACKED_BYTES}s")  # magic, skill of the recipe, contact, pose, noise
@@ -63,7 +63,7 @@ class OfficeWorld(MujocoWorld):
             InvalidInput: The recipe is unknown, or more than one skill.
         """
         skill_indices(self.spec, recipe)
-        check_one_skill(recipe)
+        check_one(recipe)
         self._simulation.reset(rng)
         self.pose = self._draw_pose(rng, *recipe)
         self.recipe, self.is_in_contact = tuple(recipe), False
@@ -136,13 +136,3 @@ class OfficeWorld(MujocoWorld):
         self._data.mocap_pos[0] = x, y, 0
         self._data.mocap_quat[0] = math.cos(half), 0, 0, math.sin(half)
         self._simulation.refresh()
-
-
-def check_one_skill(recipe: Sequence[str]) -> None:
-    """Raises InvalidInput for a recipe of several skills."""
-    if len(recipe) > 1:
-        raise InvalidInput(
-            f"A recipe of this world is one skill; got {', '.join(recipe)}.",
-            field="skills",
-            hint="Leave the recipe out to begin anywhere.",
-        )

@@ -7,10 +7,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from freerein_sim.worlds.recipes import check_one
 from freerein_sim.worlds.rope.knot_moves import knot_moves
 from freerein_sim.worlds.rope.moves import Move, RopeView, curve_of, lay_down
 from freerein_sim.worlds.rope.predicates import SHAPES
-from freerein_sim.worlds.rope.simulation import RopeWorld, check_one_skill
+from freerein_sim.worlds.rope.simulation import RopeWorld
 from freerein_sim.worlds.rope.spec import KNOT, LINKS, LONGEST_M, SPEC
 from freerein_sim.worlds.world import LabelledAction, skill_indices
 
@@ -24,7 +25,7 @@ class RopeExpert:
     """Executes a skill; without one that of the episode, or one that it draws. It draws which end it begins with."""
 
     def __init__(self, world: RopeWorld, skills: Sequence[str], rng: np.random.Generator) -> None:
-        check_one_skill(skills)
+        check_one(skills, begin="with the rope in any curve")
         skill = (tuple(skills) or world.recipe or (str(rng.choice(SPEC.skills)),))[0]
         (self._skill,) = skill_indices(SPEC, [skill])
         self._has_shape = SHAPES[skill]

@@ -5,10 +5,10 @@ from collections.abc import Collection, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import InvalidInput
 from freerein_sim.worlds.camera_moves import camera_move
 from freerein_sim.worlds.conditions import light_scale
 from freerein_sim.worlds.mujoco_world import MakeWorldExpert, MujocoWorld
+from freerein_sim.worlds.recipes import check_one
 from freerein_sim.worlds.rope import initial_states, scene
 from freerein_sim.worlds.rope.knots import Points
 from freerein_sim.worlds.rope.spec import LINK_M, LINKS, RADIUS_M, REACH_M, SPEC
@@ -57,7 +57,7 @@ class RopeWorld(MujocoWorld):
             InvalidInput: The recipe is not one skill.
         """
         skill_indices(SPEC, recipe)
-        check_one_skill(recipe)
+        check_one(recipe, begin="with the rope in any curve")
         curve = initial_states.straight(rng) if recipe else initial_states.varied(rng)
         self.recipe = tuple(recipe)
         self._simulation.reset(rng)
@@ -138,13 +138,3 @@ class RopeWorld(MujocoWorld):
             if moved < _REST_M_PER_S * _REST_STEPS * scene.TIMESTEP_S:
                 break
         return False
-
-
-def check_one_skill(recipe: Sequence[str]) -> None:
-    """Raises InvalidInput for a recipe of several skills."""
-    if len(recipe) > 1:
-        raise InvalidInput(
-            f"A recipe of this world is one skill; got {', '.join(recipe)}.",
-            field="skills",
-            hint="Leave the recipe out to begin with the rope in any curve.",
-        )
