@@ -152,7 +152,7 @@ def test_teachers_that_cannot_have_one_student_are_refused_with_the_difference_b
         "c": "teacher 1: camera top, 33 x 30 x 3, one of 5 actions; teacher 2: camera top, 32 x 32 x 3, 2 numbers",
         "d": "teacher 2: camera front",
         "e": "must have made a policy",
-        "f": "none of that name",
+        "f": "step of the pipeline; got `fff",
     }
     for letter, told in refusals.items():
         run = distillation(teachers=["a" * 32, letter * 32])

@@ -98,7 +98,7 @@ def read_segments(
     lines = _of_tier(lines, columns, roles, options.tier)
     if "trajectory" not in roles and options.trajectory is None:
         raise InvalidInput(
-            "Line 1 must name a column `trajectory`; it does not.",
+            f"Line 1 must name a column `trajectory`; got {', '.join(map(quoted, columns))}.",
             field="header",
             hint="Or say which one the table is about: --trajectory 0.",
         )
@@ -202,7 +202,8 @@ def _by_contents(found: list[tuple[int, list[str]]]) -> _Table:
     texts = [column for column, cell in zip(columns, cells, strict=True) if cell.strip() and column not in times]
     formats = _formats([_seconds(cells[int(column) - 1].strip()) for column in times])
     if not texts or formats is None:
-        raise InvalidInput(f"Line {number} must name the columns; it does not.", field="header", hint=_HINT)
+        got = ", ".join(map(quoted, cells))
+        raise InvalidInput(f"Line {number} must name the columns; got {got}.", field="header", hint=_HINT)
     roles = {"skill": texts[-1]} | ({"tier": texts[0]} if len(texts) > 1 else {})
     if len(times) == 1:
         roles["timestep"] = times[0]

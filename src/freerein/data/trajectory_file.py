@@ -170,7 +170,7 @@ def decode_frames(rows: pa.Table, *, camera_key: str, size: tuple[int, int, int]
     for t, data in enumerate(encoded):
         if not isinstance(data, bytes):
             raise InvalidInput(
-                f"Every frame must be stored in the data file; frame {t} is not.",
+                f"Every frame must be stored in the data file, as bytes; frame {t} is {type(data).__name__}.",
                 hint="Export the dataset again with its images embedded.",
             )
         pixels = images.decode(Image(images.sniff(data, field="frames"), 0, 0, data), field="frames")

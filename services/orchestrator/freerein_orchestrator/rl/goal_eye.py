@@ -61,11 +61,13 @@ def load_object_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> O
         seen = (list(card["cameras"]), card["image_size"])
     except (KeyError, TypeError) as error:
         raise InvalidInput(
-            "An eye needs the card of a reward model; this one is of another kind.", hint=_HINT
+            f"An object encoder is of a reward model, whose card has the sizes; reading them failed: {error!r}.",
+            hint=_HINT,
         ) from error
     if seen != ([camera.name], camera.height) or camera.height != camera.width:
         raise InvalidInput(
-            f"The eye's reward model must see {camera.name} at {camera.height} x {camera.width}; this one does not.",
+            f"The reward model must see {camera.name} at {camera.height} x {camera.width}, and a square; this one sees "
+            f"{', '.join(seen[0])} at {seen[1]} x {seen[1]}.",
             field="config.reward_model",
             hint=_HINT,
         )
@@ -75,7 +77,7 @@ def load_object_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> O
     weights = {name.removeprefix(_PREFIX): each for name, each in tensors.items() if name.startswith(_PREFIX)}
     if _KEYPOINTS not in weights:
         raise InvalidInput(
-            "An eye needs a reward model of the method `relation_captions`; this one is of another.",
+            f"An object encoder is of the method `relation_captions`; the model lacks the weights `{_KEYPOINTS}`.",
             field="config.reward_model",
             hint="Choose another reward model for the encoder, or the encoder `spatial`.",
         )
@@ -102,7 +104,7 @@ def fit_eye(
         augmentation: Strength of that of their frames; 0 for none.
     """
     if network.eye is None:
-        raise InvalidInput("A network to fit an eye of must have one.")
+        raise InvalidInput("The network must have an object encoder, to be fitted; it has an image encoder.")
     network.eye.load_objects(objects)
     explored = explore(network.spec, envs, generator, count=explorations)
     network.eye.fit(explored, generator, augmentation=augmentation)

@@ -250,7 +250,8 @@ def reached_logits(
     """
     recognizer, judged = network.recognizer, batch.judged
     if recognizer is None or judged is None:
-        raise ValueError("The network must have a recognizer, and the frames must be judged; they are not.")
+        found = f"recognizer: {recognizer is not None}, judged: {judged is not None}"
+        raise ValueError(f"The network must have a recognizer, and the frames must be judged; got {found}.")
     logits = recognizer.logits(torch.cat([modulated, network.modulate(features, judged.rivals)]))
     shown = torch.cat([judged.reached, torch.zeros_like(judged.reached)])
     known = torch.cat([torch.ones_like(judged.reached), judged.reached & judged.is_rivalled])

@@ -136,9 +136,9 @@ def _load_text_encoder(folder: Path, card: dict[str, Any]) -> TextEncoder:
         data, expected = (folder / TEXT_ENCODER_FILE).read_bytes(), card[_ENCODER_KEY]["sha256"]
     except (OSError, KeyError, TypeError):
         data, expected = b"", None
-    if hashlib.sha256(data).hexdigest() != expected:
+    if (found := hashlib.sha256(data).hexdigest()) != expected:
         raise InvalidInput(
-            "A language policy's folder must hold the text encoder whose sha256 its card names; it does not.",
+            f"The text encoder must have the sha256 on the card, {expected}; got {found}, of {len(data)} bytes.",
             hint="Fit the model again, or restore its folder from a copy.",
         )
     return TextEncoder(data)
