@@ -34,7 +34,7 @@ T = TypeVar("T")
 RewardFn: TypeAlias = Callable[[CameraFrames, Rewards | None], Rewards]
 """As `Reward.of_frames`."""
 
-LEASE_S = 1800.0  # on a busy machine an eye is fitted for minutes between two calls
+LEASE_S = 1800.0  # on a busy machine an object encoder is fitted for minutes between two calls
 FRAMES_PER_REWARD_CALL = 32
 _CLOSE_TIMEOUT_S = 0.5
 _POLL_S = 0.1

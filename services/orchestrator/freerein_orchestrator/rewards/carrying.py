@@ -1,4 +1,4 @@
-"""How near an object is to where a goal has it beside another, as the eye of a policy sees both.
+"""How near an object is to where a goal has it beside another, as the object encoder of a policy sees both.
 
 Objects do not pass through each other: the way to the other side leads over the top.
 """

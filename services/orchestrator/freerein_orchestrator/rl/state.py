@@ -20,8 +20,8 @@ from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState, tensors_under
 from freerein_orchestrator.rl.config import PPOConfig, Schedule
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
-from freerein_orchestrator.rl.goal_eye import explored_steps
 from freerein_orchestrator.rl.initial_network import calibrate, init_network
+from freerein_orchestrator.rl.object_encoder import explored_steps
 from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
 from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.rollout import CollectorState

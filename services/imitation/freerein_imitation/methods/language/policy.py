@@ -65,7 +65,7 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
             goal_form="text",
             training_texts=tuple(training_texts),
             objects=spec.phrases,
-            unseen_objects=spec.unseen_objects and spec.eye is None,  # an eye has no place for others
+            unseen_objects=spec.unseen_objects and spec.eye is None,  # an object encoder has no place for others
             predicts_reached=spec.predicts_reached,
             recurrent_size=spec.reached_steps - 1 if spec.predicts_reached else 0,
         )

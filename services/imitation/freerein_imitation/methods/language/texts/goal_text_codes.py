@@ -29,14 +29,14 @@ def encode_text(
         reader: Reads it.
         encoder: The text encoder.
         text_code: What the reader's part is made of.
-        phrases: Noun phrases that an eye locates; without an eye a code has the reader's part alone.
+        phrases: Noun phrases that an object encoder locates; without one a code has the reader's part alone.
     """
     code = reader.encode(text, encoder) if text_code == "statement" else reader.encode_sentence(text, encoder)
     return torch.cat([code, _statement(text, phrases)]) if phrases else code
 
 
 def statement_size(phrases: Sequence[str]) -> int:
-    """Returns the numbers of a statement about phrases that an eye locates; 0 without an eye."""
+    """Returns the numbers of a statement about phrases that an object encoder locates; 0 without one."""
     return PAIR + len(RELATIONS) if phrases else 0
 
 

@@ -1,4 +1,4 @@
-"""The eye of a new policy: its encoder is that of a stored reward model, and its body is found by random actions."""
+"""Makes a new policy's object encoder, of a stored reward model's image encoder and a body found by random actions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from freerein.config import parse
 from freerein.errors import InvalidInput
 from freerein.learning import model_files, tensor_files
 from freerein.learning.actor_critic.body import Exploration
-from freerein.learning.actor_critic.eye import EyeSpec
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
+from freerein.learning.actor_critic.object_encoder import ObjectEncoderSpec
 from freerein.learning.encoders.clip import ClipImageSpec
 from freerein.types.common import Camera
 from freerein_orchestrator.rl.config import PPOConfig
@@ -29,21 +29,21 @@ _HINT = "Choose a reward model that was fitted to frames of this camera, or the 
 
 
 @dataclass(frozen=True, eq=False)
-class ObjectEncoder:
-    """An encoder that locates the two objects of a goal.
+class RewardEncoder:
+    """A reward model's image encoder, which locates the two objects of a goal.
 
     Attributes:
         caption: The goal, as the reward model reads it.
-        spec: What the eye looks for.
+        spec: What the object encoder looks for.
         weights: By name.
     """
 
     caption: str
-    spec: EyeSpec
+    spec: ObjectEncoderSpec
     weights: Mapping[str, Tensor]
 
 
-def load_object_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> ObjectEncoder:
+def load_reward_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> RewardEncoder:
     """Returns the image encoder of a reward model.
 
     Args:
@@ -81,10 +81,10 @@ def load_object_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> O
             field="config.reward_model",
             hint="Choose another reward model for the encoder, or the encoder `spatial`.",
         )
-    return ObjectEncoder(goal_caption, EyeSpec(image, first, second), weights)
+    return RewardEncoder(goal_caption, ObjectEncoderSpec(image, first, second), weights)
 
 
-def fit_eye(
+def fit_object_encoder(
     network: ActorCritic,
     envs: VecEnv,
     generator: torch.Generator,
@@ -93,7 +93,7 @@ def fit_eye(
     explorations: int,
     augmentation: float = 0.0,
 ) -> None:
-    """Gives the eye of a new network its encoder of objects, and has it find the policy's body by random actions.
+    """Loads the weights of a new network's object encoder, and has it find the policy's body by random actions.
 
     Args:
         network: Changed.
@@ -111,7 +111,7 @@ def fit_eye(
 
 
 def explored_steps(spec: ActorCriticSpec, config: PPOConfig) -> int:
-    """Returns the steps of all environments that went into fitting the eye of a network; 0 without one."""
+    """Returns the steps of all environments that went into fitting the object encoder of a network; 0 without one."""
     return 0 if spec.eye is None else config.explorations * _EXPLORATION_STEPS * config.num_envs
 
 

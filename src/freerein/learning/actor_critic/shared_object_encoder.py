@@ -1,6 +1,6 @@
-"""The eye of a policy that follows many goals: a teacher's, which gives the places of any two phrases that it locates.
+"""The object encoder of a policy of many goals: a teacher's, which gives the keypoints of any two phrases.
 
-<dataset>/eye/   the eye of the policies that acted in a dataset, as a model
+<dataset>/eye/   the object encoder of the policies that acted in a dataset, as a model
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from freerein.config import bounded
 from freerein.errors import InvalidInput
 from freerein.learning import model_files
-from freerein.learning.actor_critic.eye import EyeSpec, GoalEye
+from freerein.learning.actor_critic.object_encoder import ObjectEncoder, ObjectEncoderSpec
 from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.learning.encoders.clip import ClipImageSpec
 
@@ -21,8 +21,8 @@ FOLDER = "eye"
 
 
 @dataclass(frozen=True)
-class SharedEyeSpec:
-    """What an eye locates, and where.
+class SharedObjectEncoderSpec:
+    """Phrases, frame size and sizes of an object encoder.
 
     Attributes:
         image: Sizes of the reward model's image encoder.
@@ -44,24 +44,26 @@ class SharedEyeSpec:
     def __post_init__(self) -> None:
         if len(self.phrases) != self.image.phrases:
             raise InvalidInput(
-                f"An eye must have the {self.image.phrases} phrases that its encoder locates; got {len(self.phrases)}.",
+                f"An object encoder must have {self.image.phrases} phrases, as its weights; got {len(self.phrases)}.",
                 hint="Restore its folder from a copy.",
             )
 
 
-class SharedEye(nn.Module):
-    """Turns frames into what is seen, and that into the features of two phrases; frozen.
+class SharedObjectEncoder(nn.Module):
+    """Encodes frames as keypoints of body and phrases, and those of two phrases as features; frozen.
 
     Attributes:
-        spec: What it locates.
-        size: Numbers of what is seen of a frame.
-        pair_size: Numbers of the features of two phrases.
+        spec: Phrases and sizes.
+        size: Numbers per frame.
+        pair_size: Features of two phrases.
     """
 
-    def __init__(self, spec: SharedEyeSpec) -> None:
+    def __init__(self, spec: SharedObjectEncoderSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.eye = GoalEye(EyeSpec(spec.image), height=spec.height, width=spec.width, action_size=spec.action_size)
+        self.eye = ObjectEncoder(
+            ObjectEncoderSpec(spec.image), height=spec.height, width=spec.width, action_size=spec.action_size
+        )
         self.size = spec.action_size + 3 * len(spec.phrases)
         self.pair_size = self.eye.size
 
@@ -76,7 +78,7 @@ class SharedEye(nn.Module):
         return torch.cat([self.eye.body(frames), places.flatten(start_dim=1), presence], dim=1)
 
     def of_pair(self, seen: Tensor, pairs: Tensor) -> Tensor:
-        """Returns what `GoalEye` says of two phrases, float32 (N, pair_size).
+        """Returns what `ObjectEncoder` says of two phrases, float32 (N, pair_size).
 
         Args:
             seen: From `forward`.
@@ -88,8 +90,8 @@ class SharedEye(nn.Module):
         return self.eye.features(body, places.view(-1, count, 2)[rows, pairs], presence[rows, pairs])
 
 
-def save_eye(policy: StoredPolicy, *, phrases: tuple[str, ...], folder: Path) -> None:
-    """Writes the eye of a policy as a folder; its card names the reward model whose encoder it has.
+def save_object_encoder(policy: StoredPolicy, *, phrases: tuple[str, ...], folder: Path) -> None:
+    """Writes the object encoder of a policy as a folder; its card names the reward model whose encoder it has.
 
     Args:
         policy: The policy.
@@ -97,30 +99,32 @@ def save_eye(policy: StoredPolicy, *, phrases: tuple[str, ...], folder: Path) ->
         folder: Made when missing.
 
     Raises:
-        InvalidInput: The policy has no eye.
+        InvalidInput: The policy has no object encoder.
     """
-    spec, eye = policy.network.spec, policy.network.eye
-    if spec.eye is None or eye is None:
-        raise no_eye()
-    shared = SharedEye(SharedEyeSpec(spec.eye.image, phrases, spec.height, spec.width, spec.action_size))
-    shared.eye.load_state_dict(eye.state_dict())
+    spec, encoder = policy.network.spec, policy.network.eye
+    if spec.eye is None or encoder is None:
+        raise no_object_encoder()
+    shared = SharedObjectEncoder(
+        SharedObjectEncoderSpec(spec.eye.image, phrases, spec.height, spec.width, spec.action_size)
+    )
+    shared.eye.load_state_dict(encoder.state_dict())
     model_files.save_model(shared, folder, card={"model": policy.card["eye"], "camera": policy.cameras[0]})
 
 
-def load_eye(folder: Path) -> tuple[SharedEye, dict[str, Any]]:
-    """Returns the eye in a folder, and its card, which are read as untrusted.
+def load_object_encoder(folder: Path) -> tuple[SharedObjectEncoder, dict[str, Any]]:
+    """Returns the object encoder in a folder, and its card, which are read as untrusted.
 
     Raises:
         InvalidInput: A file is missing or malformed.
     """
-    eye = model_files.load_model(folder, SharedEyeSpec, SharedEye, device="cpu")
-    return eye, model_files.read_card(folder)
+    encoder = model_files.load_model(folder, SharedObjectEncoderSpec, SharedObjectEncoder, device="cpu")
+    return encoder, model_files.read_card(folder)
 
 
-def no_eye() -> InvalidInput:
-    """Returns the error of a student that is to see by an eye that its teachers have not."""
+def no_object_encoder() -> InvalidInput:
+    """Returns the error of a student of `goal_eye` whose teachers have no object encoder."""
     return InvalidInput(
-        "A student sees by the eye of its first teacher, which must have one; this one has none.",
+        "The student takes the object encoder of its first teacher, which must have one; it has an image encoder.",
         field="config.encoder",
         hint="Train the teacher with `encoder=goal_eye`, or choose an image encoder for the student.",
     )

@@ -1,7 +1,7 @@
-"""The frozen eye of a policy: from a frame to where the goal's two objects and the policy's own body are.
+"""The frozen object encoder of a policy: keypoints of the goal's two objects and of the policy's own body in a frame.
 
 A reward model's image encoder locates the two noun phrases of a goal text. A `BodyEncoder` locates the body, and the
-objects that it moved tell where in the frame that is (hand-eye calibration). Nothing of it is trained by rewards.
+objects that it moved give its position in the frame (hand-eye calibration). Nothing of it is trained by rewards.
 """
 
 from collections.abc import Mapping
@@ -14,8 +14,8 @@ from freerein.config import bounded
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
 from freerein.learning.encoders.clip import ClipImageEncoder, ClipImageSpec
 
-EYE = "goal_eye"
-"""What a configuration calls it, among the image encoders."""
+OBJECT_ENCODER = "goal_eye"
+"""Value of `encoder` in configurations that chooses it; the name stays, since stored runs have it."""
 
 _OBJECT_WIDTH = 0.2
 """Width of an object in a frame that is 2 wide: eps of table 4.1."""
@@ -34,8 +34,8 @@ _REACH = 4.0
 
 
 @dataclass(frozen=True)
-class EyeSpec:
-    """The objects that an eye looks for.
+class ObjectEncoderSpec:
+    """The objects that an object encoder looks for.
 
     Attributes:
         image: Sizes of the reward model's image encoder.
@@ -48,7 +48,7 @@ class EyeSpec:
     second: int = bounded(1, least=0, most=63)
 
 
-class GoalEye(nn.Module):
+class ObjectEncoder(nn.Module):
     """Turns frames uint8 (N, height, width, 3) into features; frozen.
 
     Args:
@@ -58,7 +58,7 @@ class GoalEye(nn.Module):
         action_size: Numbers per action.
     """
 
-    def __init__(self, spec: EyeSpec, *, height: int, width: int, action_size: int) -> None:
+    def __init__(self, spec: ObjectEncoderSpec, *, height: int, width: int, action_size: int) -> None:
         super().__init__()
         self.size = action_size + 8
         self._action_size = action_size
@@ -72,7 +72,7 @@ class GoalEye(nn.Module):
         self.requires_grad_(False)
         self.train(False)
 
-    def train(self, _mode: bool = True) -> "GoalEye":
+    def train(self, _mode: bool = True) -> "ObjectEncoder":
         """Stays in evaluation mode: it is frozen."""
         return super().train(False)
 
@@ -122,7 +122,7 @@ class GoalEye(nn.Module):
         self.objects.load_state_dict(encoder)
 
     def fit(self, seen: Exploration, generator: torch.Generator, *, augmentation: float = 0.0) -> None:
-        """Learns to locate the body from random actions, in augmented frames; the objects' encoder stays as it is."""
+        """Learns to locate the body from random actions, in augmented frames; the image encoder stays as it is."""
         self.body.requires_grad_(True)
         fit_body(self.body, seen, generator, augmentation=augmentation)
         self.body.requires_grad_(False)
