@@ -3,7 +3,7 @@
     trajectory,start,end,skill        reach 0.0 1.2        Tier   Begin Time - ss.msec   End Time - ss.msec   Annotation
     0,0,41,reach                      pour 1.5 4.0         main   0.0                    1.2                  reach
 
-Columns are told by their names, or without names by what the first line holds.
+Columns are recognised by their names, or without names by the contents of the first line.
 """
 
 import math
@@ -86,7 +86,7 @@ def read_segments(
         lengths: Timesteps of each trajectory.
         fps: Timesteps per second.
         options: How to read it.
-        on_note: Called with a sentence where the unit of times was told by the numbers.
+        on_note: Called with a sentence where the unit of times was inferred from the numbers.
 
     Raises InvalidInput, with line and column, where it is no such table, or a segment does not lie in its trajectory.
     """
@@ -102,7 +102,7 @@ def read_segments(
             field="header",
             hint="Or say which one the table is about: --trajectory 0.",
         )
-    reader = _Reader(roles, options.unit or unit or _told_by_numbers(lines, roles, on_note), fps, lengths, options)
+    reader = _Reader(roles, options.unit or unit or _unit_of_numbers(lines, roles, on_note), fps, lengths, options)
     segments = [reader.segment(each, place) for place, each in enumerate(lines)]
     return [each for each in segments if each.skill]
 
@@ -254,7 +254,7 @@ def _one_tier(tiers: Sequence[str], asked: str) -> str:
     )
 
 
-def _told_by_numbers(lines: Sequence[Line], roles: dict[str, str], on_note: Callable[[str], None]) -> TimeUnit:
+def _unit_of_numbers(lines: Sequence[Line], roles: dict[str, str], on_note: Callable[[str], None]) -> TimeUnit:
     times = [roles[role] for role in ("start", "end", "timestep") if role in roles]
     if not any(mark in each.cells[column] for each in lines for column in times for mark in ".:"):
         return "timesteps"

@@ -45,8 +45,8 @@ class RewardEntry:
 
     Attributes:
         make: Returns the untrained reward of a training, given the policy's network.
-        supervision: What it was told and by whom, for the cards of policies.
-        sees: What it is computed from.
+        supervision: Its supervision, for the cards of policies.
+        sees: Its inputs.
         privileged: Whether it knows what no learner may see. Only then is it given the true rewards that it sees.
         needs_object_encoder: Whether the policy must see by an object encoder, or must not; None for either.
         own_cameras: Whether the frames that it sees may be of other cameras than the policy's.

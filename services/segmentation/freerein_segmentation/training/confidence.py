@@ -1,4 +1,4 @@
-"""Whether a network decides between the tags of a trajectory, told without true labels."""
+"""Whether a network decides between the tags of a trajectory, measured without true labels."""
 
 from dataclasses import dataclass
 

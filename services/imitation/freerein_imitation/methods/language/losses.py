@@ -239,7 +239,7 @@ def reached_loss(network: LanguageNetwork, features: Tensor, modulated: Tensor, 
 def reached_logits(
     network: LanguageNetwork, features: Tensor, modulated: Tensor, batch: TimestepBatch
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Returns logits of frames, told their goal texts and then their rivals, whether they show them, and where we know.
+    """Returns logits of frames conditioned on their goal texts, then on the rivals; labels; and where these are known.
 
     A frame that shows its goal does not show that of a text which contradicts it; of any other frame that is unknown.
 

@@ -128,7 +128,7 @@ def _files(learner: LanguageLearner) -> Mapping[str, bytes]:
 def supervision_of(teacher_cards: Sequence[Mapping[str, Any]], *, is_judged: bool = False) -> dict[str, Any]:
     """Returns the card's entries on supervision: the dataset's, and that of the policies that acted in it, if any.
 
-    `is_judged` tells whether the frames that show the goal were told by a learned reward.
+    `is_judged`: whether a learned reward chose the frames that show the goal.
     """
     supervision = "images, executed actions and goal texts"
     if is_judged:

@@ -177,7 +177,7 @@ class LanguageNetwork(PolicyNetwork):
         return relation if self.spec.conditioning == "text" else torch.zeros_like(relation)
 
     def _view(self, features: Tensor, texts: Tensor) -> Tensor:
-        """Returns what the layers get of frames, float32 (B, view size), of what `encoder` returned, told texts."""
+        """Returns the layers' input, float32 (B, view size), from the encoder's features, conditioned on texts."""
         if not isinstance(self.encoder, TeacherObjectEncoder) or self.spec.conditioning == "none":
             return features
         is_code = self.spec.conditioning == "code"

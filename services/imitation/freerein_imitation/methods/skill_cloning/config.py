@@ -23,7 +23,7 @@ class SkillCloningConfig(DatasetFitConfig):
         hidden_size: Units of the hidden layers.
         memory: Earlier frames that an action depends on.
         past_actions: Executed actions that an action depends on. They tempt a policy to repeat itself.
-        past_action_dropout: Share of timesteps that are not told past actions.
+        past_action_dropout: Share of timesteps that are not conditioned on past actions.
         chunk: Actions that are predicted from one frame.
         use_robot_state: Whether an action also depends on the robot's own state, `observation.state`.
         shift: Largest random shift of training frames, in pixels.

@@ -60,7 +60,7 @@ _HAND_NOISE, _OBJECT_NOISE, _PLACE_NOISE = 0.004, 0.01, 0.015
 than those of training frames."""
 
 _NO_PREVIOUS = 0.2
-"""Share of timesteps for which the policy is not told the previous action, so that it does not merely repeat it."""
+"""Share of timesteps at which the policy is not conditioned on the previous action, so as not merely to repeat it."""
 
 _AUGMENTED = 0.5
 """Share of training frames that are augmented, once augmentation begins."""
@@ -211,7 +211,7 @@ class SkillsLearner(Learner[SkillsNetwork]):
         return sorted({each.trajectory for each in self.segments})
 
     def _hand_loss(self, network: SkillsNetwork, items: Items, rng: np.random.Generator, views: Views) -> Tensor:
-        """Returns the error of the actions executed between pairs of timesteps, as the hand's motion tells them."""
+        """Returns the error of the actions between pairs of timesteps, as estimated from the gripper's motion."""
         first = self.training[items]
         lengths = np.array([len(self.demonstrations.actions[item]) for item in first.trajectory])
         ends = rng.integers(0, lengths)
@@ -222,8 +222,8 @@ class SkillsLearner(Learner[SkillsNetwork]):
         hands = network.hand(pixels)
         openings = network.hand.opening(network.hand.crop(pixels, hands.detach()))
         moved, opened = (each[len(items) :] - each[: len(items)] for each in (hands - shift, openings))
-        told = network.hand.executed(moved, opened, self._tensor(before))
-        return functional.smooth_l1_loss(told, self._tensor(executed), beta=_ODOMETRY_BETA)
+        estimated = network.hand.executed(moved, opened, self._tensor(before))
+        return functional.smooth_l1_loss(estimated, self._tensor(executed), beta=_ODOMETRY_BETA)
 
     def _maps_loss(self, network: SkillsNetwork, items: Items, _: np.random.Generator, views: Views) -> Tensor:
         """Returns the cross-entropies of both heat maps; places are learned before the grasp, where they are chosen."""
@@ -266,7 +266,7 @@ class SkillsLearner(Learner[SkillsNetwork]):
         return {"train_loss": total, "action_loss": action, "termination_loss": ended}
 
     def _predict(self, network: SkillsNetwork, steps: SkillSteps, views: Views) -> tuple[Tensor, Tensor]:
-        """Returns displacements and termination logits; only where the object will be put is told, by what was done."""
+        """Returns displacements and termination logits; the position of the release is the demonstration's."""
         pixels, shift = self._seen(network, steps.trajectory, steps.timestep, views)
         targets, _ = network.maps(pixels, self._skills(steps))
         place = network.hand(self._pixels(network, steps.trajectory, steps.place_at)) + shift

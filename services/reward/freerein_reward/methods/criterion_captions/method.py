@@ -89,7 +89,7 @@ def _prepare(
 
 
 def network_spec(grounding: GradCamModel, config: CriterionConfig, layout: ViewLayout) -> CriterionSpec:
-    """Returns the architecture of a model; other phrases are the nouns of the fit in each colour that can be told."""
+    """Returns the architecture of a model; other phrases are the nouns of the fit in each known colour."""
     units = tuple(float(part) for camera in range(len(config.cameras)) for part in layout.unit(camera))
     theirs = grounding.network.spec
     nouns = dict.fromkeys(words(phrase)[-1] for phrase in config.phrases)

@@ -26,7 +26,7 @@ MAX_NOUNS = 3
 _PAIRS = tuple(combinations(range(MAX_NOUNS), 2))
 
 _RANGE = 2.0
-"""Distance that is told well from others, in object widths; criteria have their limits within it."""
+"""Distance up to which distances are resolved well, in object widths; criteria have their limits within it."""
 
 STATEMENTS: tuple[tuple[Claim, str], ...] = (
     *((claim, name) for claim in (Claim.HOLDS, Claim.FAILS) for name in CRITERIA),
@@ -88,7 +88,7 @@ class CriterionNetwork(nn.Module):
         apart = (apart / _RANGE).tanh() * (shown[..., first] * shown[..., second])[..., None]  # (N, V, T, pairs, 2)
         by_camera = torch.cat([apart.flatten(start_dim=3), shown], dim=3)  # (N, V, T, pairs * 2 + nouns)
         by_tuple = by_camera.transpose(1, 2).flatten(start_dim=2)  # (N, T, ...)
-        count = is_noun[:, -1:].expand(len(places), -1, 1)  # a pair is told from a triple whose last noun is missing
+        count = is_noun[:, -1:].expand(len(places), -1, 1)  # distinguishes a pair from a triple without its last noun
         return functional.normalize(self.mlp(torch.cat([by_tuple, count], dim=2)), dim=2)
 
     def embed_statements(self) -> Tensor:
