@@ -69,13 +69,13 @@ class SharedObjectEncoder(nn.Module):
 
     @torch.no_grad()
     def forward(self, frames: Tensor) -> Tensor:
-        """Returns the body's place and those of all phrases, and their presences, float32 (N, size).
+        """Returns the body's position and those of all phrases, and their presences, float32 (N, size).
 
         Args:
             frames: uint8 (N, height, width, 3).
         """
-        places, presence = self.eye.locate_all(frames)
-        return torch.cat([self.eye.body(frames), places.flatten(start_dim=1), presence], dim=1)
+        keypoints, presence = self.eye.locate_all(frames)
+        return torch.cat([self.eye.body(frames), keypoints.flatten(start_dim=1), presence], dim=1)
 
     def of_pair(self, seen: Tensor, pairs: Tensor) -> Tensor:
         """Returns what `ObjectEncoder` says of two phrases, float32 (N, pair_size).
@@ -85,9 +85,9 @@ class SharedObjectEncoder(nn.Module):
             pairs: Numbers of the first and the second phrase, int64 (N, 2).
         """
         count = len(self.spec.phrases)
-        body, places, presence = torch.split(seen, [self.spec.action_size, 2 * count, count], dim=1)
+        body, keypoints, presence = torch.split(seen, [self.spec.action_size, 2 * count, count], dim=1)
         rows = torch.arange(seen.shape[0], device=seen.device)[:, None]
-        return self.eye.features(body, places.view(-1, count, 2)[rows, pairs], presence[rows, pairs])
+        return self.eye.features(body, keypoints.view(-1, count, 2)[rows, pairs], presence[rows, pairs])
 
 
 def save_object_encoder(policy: StoredPolicy, *, phrases: tuple[str, ...], folder: Path) -> None:
