@@ -113,7 +113,7 @@ def _picture(result: ArmResult) -> bytes:
             axes.imshow(found.located.heatmaps[row, column], cmap="gray", extent=(0, frame.shape[1], frame.shape[0], 0))
             axes.plot(found.located.x[row, column] * frame.shape[1], found.located.y[row, column] * frame.shape[0], "x")
             if found.is_shown[row, column]:
-                axes.plot(*found.keypoints[row, column], "o", fillstyle="none")
+                axes.plot(*found.places[row, column], "o", fillstyle="none")
             axes.set_title(phrase if not row else "", fontsize="x-small")
     for axes in grid.flat:
         axes.set_axis_off()

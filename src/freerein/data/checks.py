@@ -141,7 +141,7 @@ def check(root: Path) -> list[Problem]:
 
 
 def predict_fit(root: Path) -> FitPrediction:
-    """Returns what a fit of segmentation with the default configuration takes; for a dataset without errors."""
+    """Returns time and memory of a segmentation fit with the default configuration; for a dataset without errors."""
     dataset = Dataset(root)
     batches = _default_batches(dataset)
     (camera,) = choose_cameras(dataset, ())

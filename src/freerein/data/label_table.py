@@ -43,7 +43,7 @@ _HINT = "For example: trajectory,start,end,skill; or trajectory,timestep,skill w
 
 @dataclass(frozen=True)
 class LabelOptions:
-    """How to read a table of labels.
+    """Options for reading a table of labels.
 
     Attributes:
         trajectory: Index of the trajectory that a table without a column of it is about.

@@ -1,4 +1,4 @@
-"""Which files in a folder of people's own are of which trajectory and camera; what is ambiguous is refused.
+"""Assignment of files in a person's folder to trajectories and cameras; ambiguous names are refused.
 
     <folder>/<trajectory>/0.png, 1.png, ...            images of one camera, in the order of their numbers or times
              <trajectory>/<camera>/0.png, ...          or of several

@@ -1,4 +1,4 @@
-"""Which goal texts a policy can act on: what one of its training texts says, or a relation of two objects.
+"""Goal texts that a policy accepts: those that state a training text's goal, or a relation of two objects.
 
 The objects are those of the training texts, and those that a policy can find without training on them.
 
@@ -52,7 +52,7 @@ class KnownTexts:
         self._by_statement = {statement: text for statement, text in read if statement is not None}
 
     def read(self, text: str) -> KnownText:
-        """Returns what a text says."""
+        """Returns the statement of a text."""
         goal = self._grammar.read(text)
         if goal.statement is None and self._any_object:
             goal = self._with_objects_of(text).read(text)

@@ -161,7 +161,7 @@ class RemoteVectorEnv:
         return np.concatenate(self._results(self._rewards.finish())).reshape(-1, self.num_envs)
 
     def snapshots(self) -> tuple[bytes, ...]:
-        """Returns what restores the environments, one snapshot per sim service."""
+        """Returns snapshots of the environments, one per sim service."""
         return tuple(self._map(_Session.snapshot))
 
     def states(self) -> Sequence[Start]:

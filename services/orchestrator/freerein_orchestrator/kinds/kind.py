@@ -42,7 +42,7 @@ class Kind(Generic[C]):
             empty for none. It gets the configuration as it was dumped, maybe by an earlier version, and the stored
             policies and runs.
         remote: What another service does for it, which may begin before `run`; None if the run does all itself.
-        meaning: What a run does, in a sentence, for people who choose a kind.
+        meaning: Description of a run in a sentence, for people who choose a kind.
     """
 
     configs: Mapping[str, type]

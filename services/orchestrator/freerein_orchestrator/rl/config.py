@@ -12,7 +12,7 @@ _LR_FALL = 0.8
 
 @dataclass(frozen=True)
 class Schedule:
-    """Where in its course a training is: learning rate and noise fall linearly, and keep their last values afterwards.
+    """Schedule of a training: learning rate and noise fall linearly, and keep their last values afterwards.
 
     Attributes:
         iterations: Iterations over which they fall.

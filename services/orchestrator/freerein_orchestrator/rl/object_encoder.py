@@ -34,7 +34,7 @@ class RewardEncoder:
 
     Attributes:
         caption: The goal, as the reward model reads it.
-        spec: What the object encoder looks for.
+        spec: Sizes, and the numbers of the two phrases.
         weights: By name.
     """
 

@@ -50,9 +50,9 @@ class PPOState:
         collector: Where the next rollout starts.
         episodes: Statistics of the episodes under way.
         normaliser: Scales rewards; None without normalisation.
-        rewards: What it is rewarded by; changed in place. Returns of episodes are of the first, the others are added.
+        rewards: Its reward functions; changed in place. Returns of episodes are of the first, the others are added.
         schedule: Where it is in the course of its learning rate and noise.
-        inputs: What else the training was started with and must be resumed with.
+        inputs: Other inputs of the training, which must be the same when it is resumed.
         recorded: Trajectories recorded so far.
         metrics: Those of the last iteration.
     """
@@ -104,7 +104,7 @@ def init_state(
         device: Where the network is trained.
         prepare: Prepares the new network: by default, calibrates its image encoder.
         make_rewards: Returns the rewards.
-        inputs: What else the training must be resumed with.
+        inputs: Other inputs of the training, which must be the same.
 
     Raises:
         InvalidInput: The environments' number or observations are not the configuration's.

@@ -59,7 +59,7 @@ class VecEnv(Protocol):
         """Returns the rewards of the T steps since the last call, float32 (T, N)."""
 
     def snapshots(self) -> tuple[bytes, ...]:
-        """Returns what restores the environments' present state; empty where that is impossible."""
+        """Returns snapshots of the environments; empty where that is impossible."""
 
 
 def join_cameras(frames: CameraFrames, cameras: Sequence[str]) -> Frames:

@@ -55,7 +55,7 @@ class OpenGrammar(Grammar):
         super().__init__((), ())
 
     def read(self, text: str) -> GoalText:
-        """Returns what a text says; no word is unknown."""
+        """Returns the reading of a text; no word is unknown."""
         return replace(super().read(text), unknown=())
 
     def unknown_words(self, _phrases: Any) -> Words:

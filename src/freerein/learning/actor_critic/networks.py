@@ -189,7 +189,7 @@ class ActorCritic(nn.Module):
         """Returns observations of N environments as `forward` takes them, on the CPU.
 
         Args:
-            seen: What environments return, uint8 (N, H, W, C) or float32 (N, D).
+            seen: Observations of environments, uint8 (N, H, W, C) or float32 (N, D).
             last_actions: Executed before, float32 (N, A), 0 where an episode starts; only read with an object encoder.
             earlier: Frames before it, from `earlier_frames`; not read where an episode starts.
             starts: Whether an episode starts with it, bool (N,).
@@ -201,7 +201,7 @@ class ActorCritic(nn.Module):
         return stack_frames(luma(seen) if is_coloured else seen, earlier, starts)
 
     def earlier_frames(self, observations: Tensor) -> Tensor:
-        """Returns what the next observation stacks of the last one, (N, *earlier_shape), given those of `observe`."""
+        """Returns the frames that the next observation stacks, (N, *earlier_shape), given those of `observe`."""
         if self.spec.frame_stack == 1:
             shape = (observations.shape[0], *self.spec.earlier_shape)
             return torch.zeros(shape, dtype=torch.uint8, device=observations.device)

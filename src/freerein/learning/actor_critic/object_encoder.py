@@ -52,7 +52,7 @@ class ObjectEncoder(nn.Module):
     """Turns frames uint8 (N, height, width, 3) into features; frozen.
 
     Args:
-        spec: What it looks for.
+        spec: Sizes, and the numbers of its two phrases.
         height: Frame height in pixels.
         width: Frame width in pixels.
         action_size: Numbers per action.

@@ -78,7 +78,7 @@ class SharedObjectEncoder(nn.Module):
         return torch.cat([self.eye.body(frames), keypoints.flatten(start_dim=1), presence], dim=1)
 
     def of_pair(self, seen: Tensor, pairs: Tensor) -> Tensor:
-        """Returns what `ObjectEncoder` says of two phrases, float32 (N, pair_size).
+        """Returns `ObjectEncoder`'s features of two phrases, float32 (N, pair_size).
 
         Args:
             seen: From `forward`.

@@ -205,12 +205,12 @@ class LanguageLearner(Learner[LanguageNetwork]):
 
 
 def features_of(network: LanguageNetwork, batch: TimestepBatch) -> Tensor:
-    """Returns what the encoder of a network makes of a batch's frames, float32 (B, D)."""
+    """Returns a network's image features of a batch, float32 (B, D)."""
     return network.encoder(batch.frames) if batch.seen is None else batch.seen
 
 
 def _see(object_encoder: SharedObjectEncoder, camera: str, trajectories: Trajectories) -> list[npt.NDArray[np.float32]]:
-    """Returns what an object encoder sees of the frames of each trajectory, float32 (T, D)."""
+    """Returns the object encoder's encoding of each trajectory's frames, float32 (T, D)."""
     arrays = trajectories.frames[camera]
     seen: list[npt.NDArray[np.float32]] = []
     for item in range(len(trajectories)):

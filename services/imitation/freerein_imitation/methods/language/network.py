@@ -26,7 +26,7 @@ from freerein_imitation.model.torch_policy import PolicyNetwork
 
 Conditioning = Literal["text", "code", "none"]
 Fusion = Literal["film", "concatenate"]
-"""What a network gets of a goal text, and how; see `LanguageConfig`."""
+"""Kinds of conditioning, and of its fusion with image features; see `LanguageConfig`."""
 
 MAX_COMPONENTS = 64
 MAX_KNOWN_TEXTS = 10_000
@@ -44,7 +44,7 @@ class LanguageSpec(InputSpec):
         known_texts: Training goal texts.
         conditioning: As in `LanguageConfig`.
         fusion: As in `LanguageConfig`, like the next two.
-        text_code: What the code of a text is made of.
+        text_code: Kind of a text's code.
         unseen_objects: Whether goals may name others than its training texts do.
         eye: Sizes of the image encoder of its object encoder; None for an image encoder that is trained.
         phrases: Noun phrases that the object encoder locates.
@@ -168,7 +168,7 @@ class LanguageNetwork(PolicyNetwork):
         return near
 
     def _condition(self, texts: Tensor) -> Tensor:
-        """Returns what the network gets of texts: float32 (B, condition_size)."""
+        """Returns the conditioning vectors of texts, float32 (B, condition_size)."""
         if self.spec.conditioning == "code":
             return functional.one_hot(self._nearest(texts), self.spec.known_texts).to(texts.dtype)
         if self.spec.eye is None:

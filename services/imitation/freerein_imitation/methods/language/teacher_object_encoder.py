@@ -20,7 +20,7 @@ class TeacherObjectEncoder(nn.Module):
 
     Attributes:
         shared: The object encoder.
-        size: Numbers of what is seen.
+        size: Numbers per frame.
     """
 
     def __init__(self, image: ClipImageSpec, phrases: tuple[str, ...], *, camera: Camera, action_size: int) -> None:
@@ -35,6 +35,6 @@ class TeacherObjectEncoder(nn.Module):
         """Does nothing: the object encoder is not trained."""
 
     def forward(self, frames: FrameTensors) -> Tensor:
-        """Returns what is seen, float32 (N, size), of frames by camera, uint8 (N, H, W, 3)."""
+        """Returns encodings, float32 (N, size), of frames by camera, uint8 (N, H, W, 3)."""
         seen: Tensor = self.shared(frames[self._camera])
         return seen

@@ -17,7 +17,7 @@ class SkillCloningConfig(DatasetFitConfig):
     """Configuration of a fit of skill cloning.
 
     Attributes:
-        ends: What ends a skill: the termination `head`, or a `budget` of steps alone, from the labelled segments.
+        ends: End of a skill: by the termination `head`, or after a `budget` of steps alone, from the labelled segments.
         encoder: Image encoder.
         features: Image features per camera.
         hidden_size: Units of the hidden layers.

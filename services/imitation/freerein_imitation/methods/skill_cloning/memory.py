@@ -152,5 +152,5 @@ def averaged_end(before: Tensor, ended: Tensor) -> Tensor:
 
 
 def _later(values: Tensor) -> Tensor:
-    """Returns what was predicted, (B, K, ...), as seen from the next timestep, with less weight."""
+    """Returns predictions, (B, K, ...), shifted to the next timestep, with less weight."""
     return _DECAY * torch.cat([values[:, 1:], torch.zeros_like(values[:, :1])], dim=1)

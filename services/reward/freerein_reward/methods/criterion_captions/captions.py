@@ -1,4 +1,4 @@
-"""Which captions hold of images, by the criteria of table 4.1 at the keypoints where nouns were found."""
+"""Labels of captions of images, by the criteria of table 4.1 on the keypoints of nouns."""
 
 from collections.abc import Iterable
 from itertools import permutations

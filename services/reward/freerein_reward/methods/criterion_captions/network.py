@@ -127,7 +127,7 @@ class CriterionNetwork(nn.Module):
         return self.in_distribution.distance(self.statistics(views))
 
     def statistics(self, views: Tensor) -> Tensor:
-        """Returns what the in-distribution score sees, float32 (N, D), of views uint8 (N, V, H, W, 3)."""
+        """Returns the in-distribution score's inputs, float32 (N, D), of views uint8 (N, V, H, W, 3)."""
         return image_statistics({str(each): view for each, view in enumerate(views.unbind(dim=1))}, colours=True)
 
     @property

@@ -12,7 +12,7 @@ from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextR
 from freerein_imitation.methods.language.texts.text_encoder import TextEncoder
 
 TextCode = Literal["statement", "sentence"]
-"""What a code is made of; see `LanguageConfig.text_code`."""
+"""Kinds of text codes; see `LanguageConfig.text_code`."""
 
 RELATIONS = tuple(SpatialRelation)
 PAIR = 2
@@ -28,7 +28,7 @@ def encode_text(
         text: The text.
         reader: Reads it.
         encoder: The text encoder.
-        text_code: What the reader's part is made of.
+        text_code: Kind of the reader's part.
         phrases: Noun phrases that an object encoder locates; without one a code has the reader's part alone.
     """
     code = reader.encode(text, encoder) if text_code == "statement" else reader.encode_sentence(text, encoder)
