@@ -91,7 +91,8 @@ def load_in_distribution(folder: Path, *, cameras: Sequence[Camera]) -> InDistri
     path, score = folder / IN_DISTRIBUTION_FILE, InDistribution(*statistics_sizes(cameras))
     if not path.is_file():
         raise FailedPrecondition(
-            "The policy must have been stored with an in-distribution score; it has none.", hint=_MISSING
+            f"The policy must have been stored with an in-distribution score; it has no `{IN_DISTRIBUTION_FILE}`.",
+            hint=_MISSING,
         )
     try:
         score.load_state_dict(tensor_files.parse(path.read_bytes()))

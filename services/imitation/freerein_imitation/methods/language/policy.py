@@ -121,11 +121,11 @@ def _load_texts(folder: Path, card: dict[str, Any]) -> list[str]:
     try:
         path = folder / TEXTS_FILE
         texts = json.loads(path.read_bytes()) if path.exists() else card["goal_texts"]["first"]
-    except (OSError, ValueError, RecursionError, KeyError, TypeError):
-        texts = None
+    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
+        texts = error
     if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
         raise InvalidInput(
-            "A language policy's folder must hold the goal texts that it was fitted to; it does not.",
+            f"A language policy's folder must hold the goal texts that it was fitted to; got {type(texts).__name__}.",
             hint="Fit the model again, or restore its folder from a copy.",
         )
     return texts
