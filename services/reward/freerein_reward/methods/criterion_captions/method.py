@@ -119,7 +119,7 @@ def _card(source: FitDataset, learner: CriterionLearner, fitted: FitResult[Crite
         "grounding": learner.grounding_version,
         "criteria": [each.name for each in fitted.network.grammar.criteria],
         "figures": {**fitted.figures, **figures},
-        "supervision": "noun phrases; keypoints and captions made from pixels by the grounding model",
+        "supervision": "noun phrases; places and captions made from pixels by the grounding model",
         "warnings": list(criterion_warnings(fitted.network, figures)),
     }
 
