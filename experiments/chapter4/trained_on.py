@@ -105,9 +105,9 @@ def _tuning(arm: Arm) -> Mapping[str, Any]:
         return _BALANCING
     if arm.options[TUNING] == DISSERTATION:
         return _DISSERTATIONS
-    sees_by_object_encoder = arm.world != PUSH and arm.method != CURIOSITY
+    sees_by_eye = arm.world != PUSH and arm.method != CURIOSITY
     starts = _OURS if arm.world != PUSH else {}
-    return starts if sees_by_object_encoder else {**starts, **_SMALL}
+    return starts if sees_by_eye else {**starts, **_SMALL}
 
 
 def _evaluation(arm: Arm) -> Step:
