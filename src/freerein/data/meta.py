@@ -35,7 +35,7 @@ Row: TypeAlias = dict[str, Any]
 
 _FILES = (layout.SPEC_FILE, layout.TASKS_FILE, layout.EPISODES_FILE, layout.STATS_FILE, layout.INFO_FILE)
 _MOST_DATA_BYTES = 2**33
-"""Of a data file: a long trajectory has gigabytes."""
+"""Largest data file: a long trajectory has gigabytes."""
 
 _INTEGERS = ("length", "data/chunk_index", "data/file_index", "dataset_from_index", "dataset_to_index", "data/bytes")
 

@@ -27,7 +27,7 @@ CAMERA = "camera"
 ACTIONS, TAGS = "actions.csv", "tags.csv"
 _IMAGES, _VIDEOS = frozenset((".png", ".jpg", ".jpeg", ".webp")), frozenset((".mp4", ".m4v", ".mov"))
 _NOTES = frozenset((".csv", ".json", ".md", ".txt"))
-"""Of files beside images and videos that may be there and are not read, but for the tables."""
+"""Suffixes of files that may lie beside images and videos and are not read, but for the tables."""
 
 _SYSTEM = frozenset(
     [

@@ -41,7 +41,7 @@ EPISODE, ORDER = "episode_index", "frame_index"
 
 _GROUP_ROWS = 256  # so that a few frames of a long trajectory can be read
 MOST_ROWS = 10_000_000
-"""Of a table that is read at once: repeated rows take no room in a file."""
+"""Most rows of a table that is read at once: repeated rows take no room in a file."""
 
 
 @dataclass(frozen=True)

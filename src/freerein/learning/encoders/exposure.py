@@ -7,7 +7,7 @@ _COMPARED = 16
 """Rows and columns of the pixels whose ratios are compared, about."""
 
 _LEAST = 0.05
-"""Of a ratio: what is darker than that cannot be brightened."""
+"""Least ratio: darker frames cannot be brightened."""
 
 
 class ExposureNormalisation(nn.Module):
