@@ -17,9 +17,9 @@ from freerein_reward.core import GoalCache, Inference
 from freerein_reward.core.inference import ScoreItem
 from freerein_reward.methods.criterion_captions.config import CriterionConfig
 from freerein_reward.methods.criterion_captions.criterion_model import CriterionModel
+from freerein_reward.methods.criterion_captions.keypoint_dataset import view_layout
 from freerein_reward.methods.criterion_captions.method import network_spec
 from freerein_reward.methods.criterion_captions.network import CriterionNetwork
-from freerein_reward.methods.criterion_captions.place_dataset import view_layout
 from freerein_reward.model import DualEncoder, GradCamModel
 from freerein_reward.training import synthetic_objects
 

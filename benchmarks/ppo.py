@@ -35,8 +35,8 @@ from freerein_orchestrator.envs.vector_env import FRAMES_PER_REWARD_CALL, Remote
 from freerein_orchestrator.rewards.learned import LearnedReward
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.env_groups import EnvGroups, collect_groups
-from freerein_orchestrator.rl.goal_eye import fit_eye, load_object_encoder
 from freerein_orchestrator.rl.initial_network import network_spec
+from freerein_orchestrator.rl.object_encoder import fit_object_encoder, load_reward_encoder
 from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.rollout import Collector, CollectorState, RolloutBuffer
 from freerein_orchestrator.rl.state import PPOState, from_checkpoint, init_state, to_checkpoint
@@ -144,12 +144,12 @@ class _Served:
     @classmethod
     def init(cls, config: PPOConfig, sim: SyncClient, reward: SyncClient, *, action_repeat: int) -> "_Served":
         task, camera = tasks()[_TASK], Camera(_CAMERA, *_FRAME)
-        encoder = load_object_encoder(_reward_folder(), goal_caption=task.goal_text, camera=camera)
+        encoder = load_reward_encoder(_reward_folder(), goal_caption=task.goal_text, camera=camera)
         spec = network_spec(
             config,
             observation=_FRAME,
             action_size=task.spec.action.size,
-            eye=encoder.spec,
+            object_encoder=encoder.spec,
             action_repeat=action_repeat,
         )
         with closing(_open(config, sim, Reward().of_frames, (), action_repeat)) as envs:
@@ -159,7 +159,7 @@ class _Served:
                 envs,
                 device=_CPU,
                 prepare=partial(
-                    fit_eye,
+                    fit_object_encoder,
                     objects=encoder.weights,
                     explorations=config.explorations,
                     augmentation=config.augmentation,

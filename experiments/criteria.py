@@ -25,9 +25,9 @@ from freerein.criterion_text import Claim as Said
 from freerein.criterion_text import CriterionCaption
 from freerein_reward.methods.criterion_captions.config import CriterionConfig
 from freerein_reward.methods.criterion_captions.criterion_model import CriterionModel
+from freerein_reward.methods.criterion_captions.keypoint_dataset import KeypointDataset, find_keypoints, view_layout
 from freerein_reward.methods.criterion_captions.losses import CriterionLearner
 from freerein_reward.methods.criterion_captions.method import METHOD, network_spec
-from freerein_reward.methods.criterion_captions.place_dataset import PlaceDataset, find_places, view_layout
 
 MODEL, RULE = "criterion_captions", "rule"
 _TRAINING, _TEST = PuckScenes(count=1500, seed=2), PuckScenes(count=300, seed=1_000_002)
@@ -101,7 +101,7 @@ def _fit_model(config: CriterionConfig, work: Path, on_progress: Callable[[], No
         grounding, drawn = open_grounding(), open_or_draw(_TRAINING, work)
         layout = view_layout(config.cameras, config.views, config.object_widths, _ASPECT)
         frames = tuple(drawn.seen[camera] for camera in config.cameras)
-        moments = PlaceDataset(frames, *find_places(frames, grounding, config, layout), layout)
+        moments = KeypointDataset(frames, *find_keypoints(frames, grounding, config, layout), layout)
         parts = moments.split(drawn.seen["lengths"], fraction=config.validation_fraction, seed=config.seed)
         spec, fingerprint = network_spec(grounding, config, layout), f"{data} {version}"
         return CriterionLearner(config, spec, *parts, grounding, version, fingerprint, torch.device("cpu"))

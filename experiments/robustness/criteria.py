@@ -23,10 +23,10 @@ from freerein.criterion_text import Claim, CriterionCaption
 from freerein.relations import SpatialRelation
 from freerein_reward.methods.criterion_captions.config import CriterionConfig
 from freerein_reward.methods.criterion_captions.criterion_model import CriterionModel
+from freerein_reward.methods.criterion_captions.keypoint_dataset import KeypointDataset, find_keypoints, view_layout
 from freerein_reward.methods.criterion_captions.losses import CriterionLearner
 from freerein_reward.methods.criterion_captions.method import METHOD as CRITERION_CAPTIONS
 from freerein_reward.methods.criterion_captions.method import network_spec
-from freerein_reward.methods.criterion_captions.place_dataset import PlaceDataset, find_places, view_layout
 from freerein_reward.methods.relation_captions.caption_dataset import ordered_pairs
 
 METHOD = "criteria"
@@ -56,7 +56,7 @@ def fit_model(config: CriterionConfig, work: Path, on_progress: Callable[[], Non
         grounding, drawn = open_grounding(), open_or_draw(TRAINING, work)
         layout = view_layout(config.cameras, config.views, config.object_widths, _ASPECT)
         frames = (drawn.seen["frames"],)
-        moments = PlaceDataset(frames, *find_places(frames, grounding, config, layout), layout)
+        moments = KeypointDataset(frames, *find_keypoints(frames, grounding, config, layout), layout)
         training, validation = moments.split(
             drawn.seen["lengths"], fraction=config.validation_fraction, seed=config.seed
         )

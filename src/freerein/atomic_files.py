@@ -1,4 +1,4 @@
-"""Crash-safe file writes: after a crash, or on a full disk, a file is complete or absent; and what callers are told."""
+"""Crash-safe file writes: after a crash, or on a full disk, a file is complete or absent. Errors of a full disk."""
 
 import ctypes
 import errno

@@ -5,7 +5,7 @@ caption of every criterion that holds. `on top of` and `below` are the relations
 left of` and `to the right of` are these criteria of objects that are also close, and not one on the other. The relation
 `apart from` is the negation of `close to`, in the one view that the relations know.
 
-Places are those of 2 or 3 nouns in one view: float (..., nouns, 2), x to the right and y down, in object widths.
+Keypoints are those of 2 or 3 nouns in one view: float (..., nouns, 2), x to the right and y down, in object widths.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,7 +19,7 @@ import numpy.typing as npt
 from freerein.goal_text import WORDINGS
 from freerein.relations import ABOVE, CLOSE, SpatialRelation
 
-Places = npt.NDArray[np.floating]
+Keypoints = npt.NDArray[np.floating]
 Margins = npt.NDArray[np.float64]
 
 ALIGNED = 1.0
@@ -34,7 +34,7 @@ INSIDE = 0.5
 
 
 class View(IntEnum):
-    """A view of table 4.1; values are places in a model's list of cameras."""
+    """A view of table 4.1; values are indices in a model's list of cameras."""
 
     FRONT = 0
     """A camera in front: x to the scene's right."""
@@ -46,13 +46,13 @@ class View(IntEnum):
 
 @dataclass(frozen=True)
 class Criterion:
-    """A spatial relation of two or three objects that is judged by their places in one view.
+    """A spatial relation of two or three objects that is judged by their keypoints in one view.
 
     Attributes:
         name: Its name in configurations and figures.
         nouns: Number of objects, 2 or 3.
-        view: The view whose places it reads.
-        margin: Returns by how much it holds at places (..., nouns, 2), in object widths: float64 (...), positive where
+        view: The view whose keypoints it reads.
+        margin: Returns by how much it holds of keypoints (..., nouns, 2), in object widths: float64 (...), positive if
             it holds. Comparisons are differences, a conjunction is the least of its parts (as the robustness of Donzé
             and Maler, "Robust satisfaction of temporal logic over real-valued signals", 2010).
         wordings: How texts say it, the caption first: formats of the nouns `{0}`, `{1}`, `{2}`.
@@ -62,53 +62,53 @@ class Criterion:
     name: str
     nouns: int
     view: View
-    margin: Callable[[Places], Margins]
+    margin: Callable[[Keypoints], Margins]
     wordings: tuple[str, ...]
     excludes: tuple[str, ...] = ()
 
-    def holds(self, places: Places) -> npt.NDArray[np.bool_]:
-        """Returns where it holds, bool (...), at places (..., nouns, 2).
+    def holds(self, keypoints: Keypoints) -> npt.NDArray[np.bool_]:
+        """Returns where it holds, bool (...), at keypoints (..., nouns, 2).
 
         Raises ValueError for another number of nouns.
         """
-        if places.shape[-2:] != (self.nouns, 2):
-            raise ValueError(f"{self.name} needs places (..., {self.nouns}, 2); got {places.shape}")
-        holds: npt.NDArray[np.bool_] = self.margin(places) > 0
+        if keypoints.shape[-2:] != (self.nouns, 2):
+            raise ValueError(f"{self.name} needs keypoints (..., {self.nouns}, 2); got {keypoints.shape}")
+        holds: npt.NDArray[np.bool_] = self.margin(keypoints) > 0
         return holds
 
 
-def _is_less(places: Places) -> Margins:
+def _is_less(keypoints: Keypoints) -> Margins:
     """x1 < x2."""
-    return np.asarray(places[..., 1, 0] - places[..., 0, 0], np.float64)
+    return np.asarray(keypoints[..., 1, 0] - keypoints[..., 0, 0], np.float64)
 
 
-def _is_greater(places: Places) -> Margins:
+def _is_greater(keypoints: Keypoints) -> Margins:
     """x1 > x2."""
-    return -_is_less(places)
+    return -_is_less(keypoints)
 
 
-def _is_on_top(places: Places) -> Margins:
+def _is_on_top(keypoints: Keypoints) -> Margins:
     """|x1 - x2| < `ALIGNED`, and `STACKED` < y2 - y1 < `ABOVE`; y is down."""
-    height = places[..., 1, 1] - places[..., 0, 1]
-    aligned = ALIGNED - np.abs(places[..., 0, 0] - places[..., 1, 0])
+    height = keypoints[..., 1, 1] - keypoints[..., 0, 1]
+    aligned = ALIGNED - np.abs(keypoints[..., 0, 0] - keypoints[..., 1, 0])
     return np.asarray(np.minimum(aligned, np.minimum(height - STACKED, ABOVE - height)), np.float64)
 
 
-def _is_below(places: Places) -> Margins:
+def _is_below(keypoints: Keypoints) -> Margins:
     """`_is_on_top` of the two in the other order."""
-    return _is_on_top(places[..., ::-1, :])
+    return _is_on_top(keypoints[..., ::-1, :])
 
 
-def _is_between(places: Places) -> Margins:
+def _is_between(keypoints: Keypoints) -> Margins:
     """min(x2, x3) < x1 < max(x2, x3)."""
-    x, others = places[..., 0, 0], places[..., 1:, 0]
+    x, others = keypoints[..., 0, 0], keypoints[..., 1:, 0]
     return np.asarray(np.minimum(x - others.min(axis=-1), others.max(axis=-1) - x), np.float64)
 
 
-def _is_within(limit: float) -> Callable[[Places], Margins]:
-    def margin(places: Places) -> Margins:
+def _is_within(limit: float) -> Callable[[Keypoints], Margins]:
+    def margin(keypoints: Keypoints) -> Margins:
         """|p1 - p2| < limit, by the Euclidean norm."""
-        return np.asarray(limit - np.linalg.norm(places[..., 0, :] - places[..., 1, :], axis=-1), np.float64)
+        return np.asarray(limit - np.linalg.norm(keypoints[..., 0, :] - keypoints[..., 1, :], axis=-1), np.float64)
 
     return margin
 

@@ -85,7 +85,7 @@ class CriterionGrammar(Grammar):
         self._nearest_pair = NearestStatement(self._phrases, plain, loosely)
 
     def read(self, text: str) -> GoalText:
-        """Returns what a text says, in linear time; one that says nothing of this model has a `problem`."""
+        """Returns the reading of a text, in linear time; one that says nothing of this model has a `problem`."""
         said = words(text)
         if caption := self.caption(text):
             return GoalText(caption.text, caption.rivals, None, ())

@@ -162,7 +162,7 @@ class Grammar:
         self._nearest = NearestStatement(self._phrases, _WORDINGS, LOOSELY)
 
     def read(self, text: str) -> GoalText:
-        """Returns what a text says, in linear time.
+        """Returns the reading of a text, in linear time.
 
         A text that cannot be read goes to the model as it is. Words that only the grammar knows do not help it: they
         are named as unknown, too, where there are no others. Where the model knows all words, but has phrases that the

@@ -103,7 +103,7 @@ def test_a_runtime_executes_chunks_whole_and_stops_at_the_goal(met: dict[str, An
     [
         ("key", "RuntimeError: Error in inference server:\ninvalid_input: An observation for this model may hold"),
         ("shape", "`observation/front` must be uint8 of shape (4, 4, 3), as in training; got uint8 (3, 4, 4)."),
-        ("goal", "The first observation must hold the goal; it does not. Send `prompt`, `recipe`"),
+        ("goal", "The first observation must hold the goal; got none, and none in the URL. Send `prompt`, `recipe`"),
         ("model", "received 1008 (policy violation) failed_precondition: Name an active one: default."),
         ("token", "server rejected WebSocket connection: HTTP 401"),
     ],

@@ -1,4 +1,4 @@
-"""The criteria of table 4.1 at places that one can check by hand: x is right, y down, in object widths."""
+"""The criteria of table 4.1 at keypoints that one can check by hand: x is right, y down, in object widths."""
 
 import numpy as np
 import pytest
@@ -35,17 +35,17 @@ def test_a_criterion_holds_where_its_formula_says_so(name: str) -> None:
     criterion = CRITERIA[name]
     assert criterion.holds(np.array(HOLDS[name])).all()
     assert not criterion.holds(np.array(FAILS[name])).any()
-    assert {len(places) for places in (*HOLDS[name], *FAILS[name])} == {criterion.nouns}
+    assert {len(keypoints) for keypoints in (*HOLDS[name], *FAILS[name])} == {criterion.nouns}
     assert all(f"{{{slot}}}" in wording for wording in criterion.wordings for slot in range(criterion.nouns))
 
 
 def test_criteria_that_exclude_each_other_are_of_one_view_and_never_hold_together() -> None:
-    places = np.random.default_rng(0).normal(size=(10_000, 2, 2))
+    keypoints = np.random.default_rng(0).normal(size=(10_000, 2, 2))
     for criterion in CRITERIA.values():
         for other in (CRITERIA[name] for name in criterion.excludes):
             assert criterion.name in other.excludes
             assert (criterion.view, criterion.nouns) == (other.view, other.nouns)
-            assert not (criterion.holds(places) & other.holds(places)).any()
+            assert not (criterion.holds(keypoints) & other.holds(keypoints)).any()
 
 
 def test_a_margin_is_the_distance_to_the_nearest_place_of_the_other_answer_along_an_axis() -> None:

@@ -97,7 +97,7 @@ def test_a_policy_copies_the_recognizer_that_its_fit_names(
     [
         ({"cameras": ["side"]}, "must see the cameras of the policy, side at 16 x 16 x 1; it sees front at"),
         ({"recognizer": "policy"}, "must name a model of the method goal_recognizer"),
-        ({"recognizer": "nobody"}, "none of that name is active"),
+        ({"recognizer": "nobody"}, "active model of the imitation service; got `nobody`"),
         ({"recognizer": "../datasets"}, "must"),
         ({"method": "goal_conditioned", "stop": True}, "has no goal recognizer to copy"),
     ],

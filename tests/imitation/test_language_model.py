@@ -149,7 +149,7 @@ def change_one_bit(path: Path) -> None:
 @pytest.mark.parametrize("tamper", [change_one_bit, Path.unlink])
 def test_a_text_encoder_that_is_not_the_card_s_is_refused(folder: Path, tamper: Callable[[Path], None]) -> None:
     tamper(folder / TEXT_ENCODER_FILE)
-    with pytest.raises(InvalidInput, match="text encoder whose sha256 its card names"):
+    with pytest.raises(InvalidInput, match="must have the sha256 on the card"):
         METHODS.load(folder, "cpu")
 
 

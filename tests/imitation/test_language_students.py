@@ -1,4 +1,4 @@
-"""Students of section 4.3 in their variants: beside the sentence, and by their teachers' eye."""
+"""Students of section 4.3 in their variants: beside the sentence, and by their teachers' object encoder."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from freerein.learning import model_files, tensor_files, weights
-from freerein.learning.actor_critic.shared_eye import SharedEye, SharedEyeSpec
+from freerein.learning.actor_critic.shared_object_encoder import SharedObjectEncoder, SharedObjectEncoderSpec
 from freerein.learning.augmentation import resized_crops
 from freerein.learning.encoders.clip import ClipImageSpec
 from freerein.learning.training_loop import fit
@@ -39,14 +39,16 @@ def _quick_reader(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def eye() -> SharedEye:
-    """An eye with the encoder of the reward model that ships, and a body that it has not found."""
+def object_encoder() -> SharedObjectEncoder:
+    """An object encoder with the encoder of the reward model that ships, and a body that it has not found."""
     store = ModelStore(CLONE_MODELS / "reward")
     folder = store.folder(ModelRef("default", store.active_version("default")))
     card = model_files.read_card(folder)["spec"]
     sizes = {name: card[name] for name in ("width", "depth", "hidden_size", "embedding_dim")}
     phrases = tuple(card["phrases"])
-    made = SharedEye(SharedEyeSpec(ClipImageSpec(phrases=len(phrases), **sizes), phrases, 64, 64, ACTION.size))
+    made = SharedObjectEncoder(
+        SharedObjectEncoderSpec(ClipImageSpec(phrases=len(phrases), **sizes), phrases, 64, 64, ACTION.size)
+    )
     tensors = tensor_files.parse((folder / model_files.MODEL.weights).read_bytes())
     made.eye.load_objects({name.removeprefix("image."): each for name, each in tensors.items() if "image." in name})
     torch.nn.init.zeros_(made.eye.body.readout.weight)
@@ -81,7 +83,9 @@ def rollouts(count: int) -> Trajectories:
     return Trajectories({"front": frames}, actions, goal_texts=texts)
 
 
-def prepare(text_encoder_file: bytes, config: LanguageConfig, *, eye: SharedEye | None = None) -> LanguageLearner:
+def prepare(
+    text_encoder_file: bytes, config: LanguageConfig, *, object_encoder: SharedObjectEncoder | None = None
+) -> LanguageLearner:
     return LanguageLearner.prepare(
         config,
         rollouts(48),
@@ -90,7 +94,7 @@ def prepare(text_encoder_file: bytes, config: LanguageConfig, *, eye: SharedEye 
         action=ACTION,
         fingerprint="rollouts",
         device=torch.device("cpu"),
-        eye=eye,
+        object_encoder=object_encoder,
     )
 
 
@@ -101,10 +105,10 @@ def seeing(conditioning: Conditioning) -> LanguageConfig:
     )
 
 
-def test_a_student_with_an_eye_does_with_a_colour_that_it_never_saw_what_it_does_with_others(
-    text_encoder_file: bytes, eye: SharedEye, tmp_path: Path
+def test_a_student_with_an_object_encoder_does_with_a_colour_that_it_never_saw_what_it_does_with_others(
+    text_encoder_file: bytes, object_encoder: SharedObjectEncoder, tmp_path: Path
 ) -> None:
-    fitted = fit(prepare(text_encoder_file, seeing("text"), eye=eye), tmp_path)
+    fitted = fit(prepare(text_encoder_file, seeing("text"), object_encoder=object_encoder), tmp_path)
     assert fitted is not None
     training = (told("red", "left", "green"),)
     policy = LanguagePolicy(fitted.network, TextEncoder(text_encoder_file), CONTROL, training_texts=training)
@@ -122,11 +126,11 @@ def test_a_student_with_an_eye_does_with_a_colour_that_it_never_saw_what_it_does
 
 
 def test_a_student_of_codes_sees_the_things_of_the_nearest_training_text_and_one_of_nothing_all_things(
-    text_encoder_file: bytes, eye: SharedEye
+    text_encoder_file: bytes, object_encoder: SharedObjectEncoder
 ) -> None:
     frames = {"front": torch.from_numpy(draw(np.random.default_rng(0), ("red", "green", "blue"))[0])[None]}
     for conditioning, sees_texts in (("code", True), ("none", False)):
-        learner = prepare(text_encoder_file, seeing(conditioning), eye=eye)
+        learner = prepare(text_encoder_file, seeing(conditioning), object_encoder=object_encoder)
         network = learner.init(torch.Generator().manual_seed(0)).network
         codes = torch.from_numpy(np.stack(list(learner.training.codes.values())))
         with torch.no_grad():

@@ -24,7 +24,7 @@ TINY = {
     "checkpoint_every": 5,
     "log_every": 3,
 }
-SMALL_EYE = {"encoder": "patch", "features": 8, "hidden_size": 8}
+SMALL_ENCODER = {"encoder": "patch", "features": 8, "hidden_size": 8}
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ STAGES = {"forward_consistency_weight": 0.1, "forward_pretraining_steps": 3, "po
 @pytest.mark.parametrize(
     ("method", "change"),
     [
-        ("goal_conditioned", SMALL_EYE | STAGES),  # which is stopped in the second
+        ("goal_conditioned", SMALL_ENCODER | STAGES),  # which is stopped in the second
         ("skills", {"steps": 18, "evaluate_every": 9, "hidden_size": 8}),
     ],
 )

@@ -17,7 +17,7 @@ from freerein.data import Dataset, dataset_path, reached
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.actor_critic.policy_files import load_policy, save_policy
-from freerein.learning.actor_critic.shared_eye import load_eye
+from freerein.learning.actor_critic.shared_object_encoder import load_object_encoder
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
 from freerein.types.reward import RewardRequest
@@ -25,8 +25,8 @@ from freerein_orchestrator.envs.episodes import Episode
 from freerein_orchestrator.envs.policies import PolicyHandle, PolicyOutput
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.distill.rollouts import relabelled
-from freerein_orchestrator.rl.goal_eye import load_object_encoder
 from freerein_orchestrator.rl.initial_network import init_network
+from freerein_orchestrator.rl.object_encoder import load_reward_encoder
 
 pytestmark = pytest.mark.e2e
 SPEC = ActorCriticSpec(height=33, width=30, channels=3, action_choices=5, feature_size=8, hidden_size=8)
@@ -129,7 +129,7 @@ def test_teachers_that_cannot_have_one_student_are_refused_with_the_difference_b
         "c": "teacher 1: camera top, 33 x 30 x 3, one of 5 actions; teacher 2: camera top, 32 x 32 x 3, 2 numbers",
         "d": "teacher 2: camera front",
         "e": "must have made a policy",
-        "f": "none of that name",
+        "f": "step of the pipeline; got `fff",
     }
     for letter, told in refusals.items():
         run = distillation(teachers=["a" * 32, letter * 32])
@@ -141,14 +141,14 @@ def test_teachers_that_cannot_have_one_student_are_refused_with_the_difference_b
         distillation(config={"cameras": ["front"]}).check()
 
 
-def test_a_student_that_is_to_see_by_an_eye_gets_its_first_teachers_with_the_phrases_that_this_locates(
+def test_a_student_with_goal_eye_gets_its_first_teachers_object_encoder_with_the_phrases_that_it_locates(
     distillation: Callable[..., Any], data_dir: Path
 ) -> None:
     store = ModelStore(CLONE_MODELS / "reward")
     model, goal_text = ModelRef("default", store.active_version("default")), "a red block to the left of a green block"
     card = {"task": "blocks.red-left-of-green", "camera": "front", "goal_text": goal_text, "eye": vars(model)}
     camera = Camera("front", 64, 64, 3)
-    encoder = load_object_encoder(store.folder(model), goal_caption=goal_text, camera=camera)
+    encoder = load_reward_encoder(store.folder(model), goal_caption=goal_text, camera=camera)
     plain = ActorCriticSpec(height=64, width=64, channels=3, action_size=3, feature_size=8, hidden_size=8)
     teach(data_dir, "a" * 32, spec=replace(plain, eye=encoder.spec), **card)
     teach(data_dir, "b" * 32, spec=plain, **card)
@@ -157,16 +157,16 @@ def test_a_student_that_is_to_see_by_an_eye_gets_its_first_teachers_with_the_phr
     assert not run.do(stop=(run.folder / "artifacts" / "dataset.json").exists)  # no fit: imitation is away
 
     dataset = dataset_path(data_dir, "rollouts")
-    eye, told = load_eye(dataset / "eye")
-    assert eye.spec.phrases == ("a red block", "a green block", "a yellow block", "a blue block")
-    assert (told["model"], told["camera"]) == (vars(model), "front")
+    shared, described = load_object_encoder(dataset / "eye")
+    assert shared.spec.phrases == ("a red block", "a green block", "a yellow block", "a blue block")
+    assert (described["model"], described["camera"]) == (vars(model), "front")
     frames = torch.from_numpy(Dataset(dataset)[0].frames["front"].copy())
     teacher = load_policy(data_dir / "runs" / ("a" * 32) / "artifacts", device="cpu").network.eye
     assert teacher is not None
     pairs = torch.tensor([[encoder.spec.first, encoder.spec.second]]).expand(len(frames), -1)
-    assert torch.equal(eye.of_pair(eye(frames), pairs), teacher(frames))
+    assert torch.equal(shared.of_pair(shared(frames), pairs), teacher(frames))
 
-    with pytest.raises(InvalidInput, match="this one has none"):
+    with pytest.raises(InvalidInput, match="it has an image encoder"):
         distillation(**lesson, teachers=["b" * 32], dataset="blind").check()
 
 

@@ -49,7 +49,7 @@ def test_a_task_whose_own_goal_relates_nothing_needs_a_text() -> None:
         pipeline_steps(ZsrmRunConfig(TASK.name), TASK, TASK.name)
 
 
-@pytest.mark.long  # a fit of a reward model, and of a goal eye
+@pytest.mark.long  # a fit of a reward model, and of an object encoder
 @pytest.mark.e2e
 def test_a_run_goes_from_a_text_to_a_policy_that_is_served_though_it_is_stopped_between(
     new_run: Callable[..., Any], start_service: Callable[..., Any], tmp_path: Path

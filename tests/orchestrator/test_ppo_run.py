@@ -251,7 +251,7 @@ def test_a_run_that_cannot_succeed_fails_at_once(
         ppo(**config).do()
 
 
-def test_the_base_reward_is_the_grounding_models_similarity_and_its_eye_the_reward_models(
+def test_the_base_reward_is_the_grounding_models_similarity_and_the_object_encoder_the_reward_models(
     ppo: Callable[..., Any],
 ) -> None:
     run = ppo(reward="base", reward_model="grounding", iterations=1)

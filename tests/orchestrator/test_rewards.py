@@ -24,7 +24,7 @@ from freerein_orchestrator.rl.config import PPOConfig
 def test_only_rewards_that_declare_themselves_privileged_get_privileged_state(name: str) -> None:
     entry = REWARDS[name]
     given = {
-        "encoder": "spatial" if entry.needs_eye is False else "goal_eye",
+        "encoder": "spatial" if entry.needs_object_encoder is False else "goal_eye",
         "dataset": "won" if "success_examples" in entry.sees else "",
     }
     config = parse(PPORunConfig, {"task": "grid", "reward": name, **given})

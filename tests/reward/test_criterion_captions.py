@@ -1,4 +1,4 @@
-"""The method `criterion_captions`: captions of places, keypoints by phrase, and fits to scenes of three cameras."""
+"""The method `criterion_captions`: captions of keypoints, keypoints by phrase, and fits to scenes of three cameras."""
 
 from collections.abc import Sequence
 from itertools import permutations
@@ -34,11 +34,11 @@ from freerein_reward.methods.criterion_captions.config import CriterionConfig
 from freerein_reward.methods.criterion_captions.criterion_model import CriterionModel
 from freerein_reward.methods.criterion_captions.distractors import add_distractors
 from freerein_reward.methods.criterion_captions.evaluation import evaluate_criteria
+from freerein_reward.methods.criterion_captions.keypoint_dataset import KeypointDataset, find_keypoints, view_layout
 from freerein_reward.methods.criterion_captions.locator import Locator, target_distribution
 from freerein_reward.methods.criterion_captions.losses import CriterionLearner, caption_loss
 from freerein_reward.methods.criterion_captions.method import criterion_warnings, network_spec
 from freerein_reward.methods.criterion_captions.network import STATEMENTS
-from freerein_reward.methods.criterion_captions.place_dataset import PlaceDataset, find_places, view_layout
 from freerein_reward.methods.criterion_captions.recoloured_moments import recolour_moments
 from freerein_reward.methods.criterion_captions.spec import CriterionSpec
 from freerein_reward.model import GradCamModel, load_grounding
@@ -67,16 +67,16 @@ Array = npt.NDArray[np.float64]
 
 
 def views_of(scene: Array) -> Array:
-    """Returns the places of things in the three cameras, as fractions, of positions (..., 3): right, front, up."""
+    """Returns the keypoints of things in the three cameras, as fractions, of positions (..., 3): right, front, up."""
     right, front, up = np.moveaxis(scene, -1, 0)
     down = 1 - up
     return np.stack([np.stack(each, axis=-1) for each in ((right, down), (front, down), (right, (front + down) / 2))])
 
 
-def draw(places: Array, is_shown: npt.NDArray[np.bool_], colours: Sequence[str]) -> npt.NDArray[np.uint8]:
-    """Returns frames, uint8 (N, 64, 64, 3), with squares of colours at places (N, P, 2)."""
-    frames = np.full((len(places), 64, 64, 3), 110, np.uint8)
-    for frame, middles, shown in zip(frames, (64 * places).round().astype(int), is_shown, strict=True):
+def draw(keypoints: Array, is_shown: npt.NDArray[np.bool_], colours: Sequence[str]) -> npt.NDArray[np.uint8]:
+    """Returns frames, uint8 (N, 64, 64, 3), with squares of colours at keypoints (N, P, 2)."""
+    frames = np.full((len(keypoints), 64, 64, 3), 110, np.uint8)
+    for frame, middles, shown in zip(frames, (64 * keypoints).round().astype(int), is_shown, strict=True):
         for (x, y), name in zip(middles[shown], np.array(colours)[shown], strict=True):
             frame[max(0, y - SIDE // 2) : y + SIDE // 2, max(0, x - SIDE // 2) : x + SIDE // 2] = COLOURS[name]
     return frames
@@ -87,9 +87,9 @@ def scenes(
 ) -> dict[str, npt.NDArray[np.uint8]]:
     """Returns frames by camera of things anywhere in a box; a fifth of them is missing."""
     rng = np.random.default_rng(seed)
-    places = views_of(rng.uniform(0.1, 0.9, size=(count, len(colours), 3)))
+    keypoints = views_of(rng.uniform(0.1, 0.9, size=(count, len(colours), 3)))
     is_shown = rng.random((count, len(colours))) < 0.8
-    return {name: draw(view, is_shown, colours) for name, view in zip(CAMERAS, places, strict=True)}
+    return {name: draw(view, is_shown, colours) for name, view in zip(CAMERAS, keypoints, strict=True)}
 
 
 @pytest.fixture(scope="module")
@@ -98,10 +98,10 @@ def grounding() -> GradCamModel:
     return load_grounding(store.folder(ModelRef("grounding", store.active_version("grounding"))), "cpu")
 
 
-def located(frames: dict[str, npt.NDArray[np.uint8]], grounding: GradCamModel) -> PlaceDataset:
+def located(frames: dict[str, npt.NDArray[np.uint8]], grounding: GradCamModel) -> KeypointDataset:
     layout = view_layout(CAMERAS, CAMERAS, CONFIG.object_widths, 1.0)
     views = tuple(frames.values())
-    return PlaceDataset(views, *find_places(views, grounding, CONFIG, layout), layout)
+    return KeypointDataset(views, *find_keypoints(views, grounding, CONFIG, layout), layout)
 
 
 @pytest.fixture(scope="module")
@@ -127,16 +127,16 @@ def label(labels: npt.NDArray[np.int8], claim: Claim, name: str, nouns: tuple[in
     return int(labels[0, at, STATEMENTS.index((claim, name))])
 
 
-def labels_of(places: Array, shown: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
-    return label_captions(places, shown, phrase_tuples(places.shape[2]), views=tuple(View), tolerance=0.1)
+def labels_of(keypoints: Array, shown: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
+    return label_captions(keypoints, shown, phrase_tuples(keypoints.shape[2]), views=tuple(View), tolerance=0.1)
 
 
 def test_an_image_has_the_caption_of_every_criterion_that_holds_at_the_places_of_its_view() -> None:
-    places = np.zeros((1, 3, 3, 2))
-    places[0, View.FRONT] = [(0, 0), (0.3, 1), (-2, 0.05)]
-    places[0, View.SIDE] = [(1, 0), (0, 1), (1.05, 0)]
-    places[0, View.TILTED] = [(0, 0), (0.3, 0.2), (5, 5)]
-    labels = labels_of(places, np.full((1, 3, 3), SHOWN, np.int8))
+    keypoints = np.zeros((1, 3, 3, 2))
+    keypoints[0, View.FRONT] = [(0, 0), (0.3, 1), (-2, 0.05)]
+    keypoints[0, View.SIDE] = [(1, 0), (0, 1), (1.05, 0)]
+    keypoints[0, View.TILTED] = [(0, 0), (0.3, 0.2), (5, 5)]
+    labels = labels_of(keypoints, np.full((1, 3, 3), SHOWN, np.int8))
     of_pair = {
         name for name in CRITERIA if name != "in_between" and label(labels, Claim.HOLDS, name, (0, 1), 3) == TRUE
     }
@@ -156,20 +156,20 @@ def test_of_many_phrases_some_pairs_and_triples_are_scored_at_once_and_of_few_al
 
 
 def test_what_a_view_does_not_show_is_in_no_criterion_and_what_none_shows_is_missing() -> None:
-    places, shown = np.zeros((1, 3, 2, 2)), np.full((1, 3, 2), SHOWN, np.int8)
-    places[0, :, 1] = (1, 0)
+    keypoints, shown = np.zeros((1, 3, 2, 2)), np.full((1, 3, 2), SHOWN, np.int8)
+    keypoints[0, :, 1] = (1, 0)
     shown[0, View.SIDE, 0] = HIDDEN
-    hidden = labels_of(places, shown)
+    hidden = labels_of(keypoints, shown)
     assert label(hidden, Claim.HOLDS, "left_of", (0, 1), 2) == TRUE
     assert label(hidden, Claim.HOLDS, "behind", (0, 1), 2) == FALSE
     assert label(hidden, Claim.FAILS, "behind", (0, 1), 2) == UNKNOWN
     assert label(hidden, Claim.MISSING, "", (0, 1), 2) == FALSE
     shown[0, :, 0] = HIDDEN
-    missing = labels_of(places, shown)
+    missing = labels_of(keypoints, shown)
     assert label(missing, Claim.MISSING, "", (0, 1), 2) == TRUE
     assert (missing[..., :-1].max(), missing[..., -1].min()) == (FALSE, TRUE)
     shown[0, :, 0] = UNSURE
-    assert (labels_of(places, shown) == UNKNOWN).all()
+    assert (labels_of(keypoints, shown) == UNKNOWN).all()
 
 
 def test_the_loss_of_captions_leaves_out_what_is_not_sure() -> None:
@@ -187,12 +187,12 @@ def test_captions_that_seldom_hold_weigh_as_much_as_those_that_often_do_not() ->
 
 
 def test_the_mean_of_a_target_is_the_place() -> None:
-    places = torch.tensor([[0.5, 0.5], [0.31, 0.77], [0.2, 0.9]])
-    target = target_distribution(places, height=16, width=16).view(3, 16, 16)
+    keypoints = torch.tensor([[0.5, 0.5], [0.31, 0.77], [0.2, 0.9]])
+    target = target_distribution(keypoints, height=16, width=16).view(3, 16, 16)
     centres = (torch.arange(16) + 0.5) / 16
     means = torch.stack([(target.sum(dim=1) * centres).sum(dim=1), (target.sum(dim=2) * centres).sum(dim=1)], dim=1)
     assert torch.allclose(target.sum(dim=(1, 2)), torch.ones(3))
-    assert torch.allclose(means, places, atol=1e-6)
+    assert torch.allclose(means, keypoints, atol=1e-6)
 
 
 def test_of_two_things_alike_one_is_the_place_and_not_the_middle_between_them() -> None:
@@ -200,18 +200,18 @@ def test_of_two_things_alike_one_is_the_place_and_not_the_middle_between_them() 
     weights.initialise(locator, generator=torch.Generator())
     cells[0, 4, 2, 0], cells[0, 4, 3, 0], cells[0, 9, 12, 0] = 20.0, 20.0, 20.5
     found = locator(cells, torch.eye(2))
-    assert found.places[0, 0].tolist() == pytest.approx([3 / 16, 4.5 / 16], abs=1e-3)
+    assert found.keypoints[0, 0].tolist() == pytest.approx([3 / 16, 4.5 / 16], abs=1e-3)
     assert found.presence[0].tolist() == pytest.approx([1.0, 0.08], abs=0.05)  # 256 cells without heat against nowhere
 
 
 def test_distractors_cover_nothing_that_is_kept_and_half_of_the_colours_are_its() -> None:
-    frames, places = torch.full((200, 64, 64, 3), 110, dtype=torch.uint8), torch.full((200, 1, 2), 0.5)
+    frames, keypoints = torch.full((200, 64, 64, 3), 110, dtype=torch.uint8), torch.full((200, 1, 2), 0.5)
     frames[:, 29:35, 29:35] = torch.tensor(COLOURS["red"], dtype=torch.uint8)
     kept, clearance = torch.ones(200, 1, dtype=torch.bool), torch.full((2,), 3 / 64)
 
     def strewn(strength: float) -> torch.Tensor:
         generator = torch.Generator().manual_seed(0)
-        return add_distractors(frames, places, kept, clearance=clearance, strength=strength, generator=generator)
+        return add_distractors(frames, keypoints, kept, clearance=clearance, strength=strength, generator=generator)
 
     seen = strewn(1.0)
     assert torch.equal(seen[:, 29:35, 29:35], frames[:, 29:35, 29:35])
@@ -224,7 +224,7 @@ def test_distractors_cover_nothing_that_is_kept_and_half_of_the_colours_are_its(
 def test_places_move_with_the_frames_and_captions_stay(learner: CriterionLearner) -> None:
     batch = learner.training.subset(np.arange(40))
     seen = augment_moments(batch, 1.0, distractors=1.0, generator=torch.Generator().manual_seed(0))
-    moved = 64 * (seen.places - batch.places)
+    moved = 64 * (seen.keypoints - batch.keypoints)
     assert np.ptp(moved, axis=(1, 2)).max() < 1e-3  # all views and phrases of a moment alike
     assert np.abs(moved).max() > 4
     assert np.abs(moved - moved.round()).max() < 1e-3
@@ -241,7 +241,7 @@ def test_in_other_colours_things_have_other_names_at_the_places_that_they_have(l
     found = turned.shown == SHOWN
     assert found.any(axis=(0, 1)).sum() > 5  # names, of three phrases
     assert found.sum() > 0.5 * (batch.shown == SHOWN).sum()
-    distance = np.linalg.norm(turned.places[:, :, :, None] - batch.places[:, :, None], axis=4)
+    distance = np.linalg.norm(turned.keypoints[:, :, :, None] - batch.keypoints[:, :, None], axis=4)
     nearest = np.where(batch.shown[:, :, None] == SHOWN, distance, np.inf).min(axis=3)
     assert 64 * nearest[found].max() <= SIDE
 
@@ -251,7 +251,7 @@ def test_a_mirrored_moment_has_the_mirrored_captions_and_only_one_view_is_mirror
     layout = view_layout(("front",), ("front", "", "front"), (0.125,), 1.0)
     assert layout.is_mirrored
     batch = learner.training
-    front = PlaceDataset(batch.frames[:1], batch.places[:, :1], batch.shown[:, :1], layout)
+    front = KeypointDataset(batch.frames[:1], batch.keypoints[:, :1], batch.shown[:, :1], layout)
     there, back = (
         each.captions(phrase_tuples(3), tolerance=0.1) for each in (front, front.mirrored(np.ones(len(front), bool)))
     )
@@ -296,8 +296,8 @@ def test_a_goal_wins_in_a_scene_that_shows_it_and_none_wins_where_a_noun_is_miss
 
 def test_a_noun_outside_the_fit_is_found_in_each_camera(model: CriterionModel) -> None:
     assert "a magenta block" in model.network.spec.other_phrases
-    places = views_of(np.random.default_rng(5).uniform(0.1, 0.9, size=(20, 1, 3)))
-    for view in places:
+    keypoints = views_of(np.random.default_rng(5).uniform(0.1, 0.9, size=(20, 1, 3)))
+    for view in keypoints:
         found = model.locate(draw(view, np.ones((20, 1), bool), ("magenta",)), ["a magenta block", "a green block"])
         error = 64 * np.hypot(found.x[:, 0] - view[:, 0, 0], found.y[:, 0] - view[:, 0, 1])
         assert np.median(error) < 3

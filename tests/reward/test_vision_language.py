@@ -19,7 +19,7 @@ from freerein.types.common import ModelRef
 from freerein_reward import import_model
 from freerein_reward.methods import load
 from freerein_reward.model import KNOWN, GradCamModel, ImportedGrounding, contrast_texts, load_built_in, load_grounding
-from freerein_reward.model.vision_language import PLACES, BuiltIn, gradient_weights, heat_maps
+from freerein_reward.model.vision_language import KEYPOINTS, BuiltIn, gradient_weights, heat_maps
 from freerein_reward.model.vision_language.openai_clip import OpenAIClip, clip_shape, load_openai_clip
 from freerein_reward.model.vision_language.openai_network import Clip
 from freerein_reward.training import synthetic_objects
@@ -57,12 +57,12 @@ def normalised(heat: Tensor) -> Tensor:
     return heat / heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-12)
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", KEYPOINTS)
 def test_a_peak_is_found_where_it_is_and_a_flat_map_somewhere(place: str) -> None:
     at = torch.tensor([[0.3, 0.7]])  # x and y
     rows, columns = torch.meshgrid(*2 * [(torch.arange(14) + 0.5) / 14], indexing="ij")
     heat = torch.exp(-((columns - at[0, 0]) ** 2 + (rows - at[0, 1]) ** 2) / 0.01)[None, None]
-    found = PLACES[place](torch.cat([heat, torch.zeros_like(heat)], dim=1))
+    found = KEYPOINTS[place](torch.cat([heat, torch.zeros_like(heat)], dim=1))
     assert (found[0, 0] - at[0]).abs().max() < 1 / 14
     assert ((found >= 0) & (found <= 1)).all()
 

@@ -86,7 +86,8 @@ def _write(model: Path, folder: Path, goal_texts: Sequence[str]) -> None:
 
 def _as_torch(policy: Policy) -> TorchPolicy[Any]:
     if not isinstance(policy, TorchPolicy):
-        raise Unimplemented("A policy to export must be a network; this one is not.", hint="Export another model.")
+        found = type(policy).__name__
+        raise Unimplemented(f"A policy to export must be a network; got {found}.", hint="Export another model.")
     return policy
 
 

@@ -71,8 +71,8 @@ def build(
     )
     resolve_here = partial(resolve, data_dir=settings.data_dir)
     policies, unused = PolicyStore.open(settings.data_dir, os.environ), partial(_check_unused, settings)
-    told = partial(truth, policies)
-    runs = RunService(store, queue, resolve=resolve_here, health=health, truth=told, check_unused=unused)
+    truth_of = partial(truth, policies)
+    runs = RunService(store, queue, resolve=resolve_here, health=health, truth=truth_of, check_unused=unused)
     datasets = DatasetService(settings.data_dir)
     client = make_client(limits, token=settings.token_text, certificate=os.environ.get("FREEREIN_TLS_CERT"))
     passed_on = [PassedOn(service, rest_url(service, os.environ), client) for service in CALLS]
@@ -111,7 +111,7 @@ def resolve(kind: str, config: Mapping[str, Any], data_dir: Path) -> Resolved:
 
 
 def truth(policies: PolicyStore, kind: str, config: Mapping[str, Any]) -> str:
-    """Returns what a run is told that no learner may see; empty for nothing, or a kind that there is no longer."""
+    """Returns the privileged data that a run reads; empty for none, or for a kind that there is no longer."""
     return KINDS[kind].truth(config, policies) if kind in KINDS else ""
 
 

@@ -28,7 +28,8 @@ class OrchestratorSettings(ServiceSettings):
         if self.database_url and not _is_of_postgres(self.database_url.get_secret_value()):
             raise ValueError(
                 "FREEREIN_DATABASE_URL must be a URL of Postgres, postgresql://user:password@host:5432/database, with "
-                "@, / and : of a password as %40, %2F and %3A, and without the name of a driver; it is not"
+                "@, / and : of a password as %40, %2F and %3A, and without the name of a driver; "
+                "got another text, which is not shown, since it may hold a password"
             )
         return self
 

@@ -23,7 +23,7 @@ from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
 from freerein_reward.model import GROUNDING, LAYOUTS, REFERENCES, ImportedGrounding
 from freerein_reward.model.imported_grounding import KNOWN_PHRASES
-from freerein_reward.model.vision_language import PLACES
+from freerein_reward.model.vision_language import KEYPOINTS
 from freerein_reward.model.vision_language.openai_clip import MERGES
 from freerein_reward.model.vision_language.source_folder import WEIGHTS, check_folder, weights_sha256
 from freerein_reward.model.vision_language.transformers_models import CONFIG, PREPROCESSOR, TOKENIZER
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("source", type=Path, help=f"folder with {WEIGHTS}, of a CLIP ResNet or saved by transformers")
     parser.add_argument("models", type=Path, help="folder of the service's models, such as data/models/reward")
     parser.add_argument("--sha256", required=True, help=f"SHA-256 of {WEIGHTS}, from whom you trust")
-    parser.add_argument("--place", choices=[*PLACES], default="centroid", help="how heat becomes a place")
+    parser.add_argument("--place", choices=[*KEYPOINTS], default="centroid", help="how heat becomes a keypoint")
     parser.add_argument("--images", type=int, default=REFERENCES, help="images to calibrate on")
     parser.add_argument("--seed", type=int, default=0, help="seed of these images")
     parser.add_argument("--device", default="cpu", help="auto, cpu or cuda:N")
@@ -72,7 +72,7 @@ def import_model(
         source: Folder of the model; only files of its layout are copied.
         models: Folder of a model store.
         sha256: Of the weights, in hexadecimal digits.
-        place: How heat becomes a place, of `PLACES`.
+        place: How heat becomes a keypoint, of `KEYPOINTS`.
         images: Synthetic images to calibrate on.
         seed: Their seed.
         device: `auto`, `cpu` or `cuda:N`.

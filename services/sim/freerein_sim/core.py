@@ -17,6 +17,7 @@ from freerein.errors import (
     Unavailable,
     WorkerLost,
     must_be,
+    quoted,
 )
 from freerein.types import sim
 from freerein_sim.session import Session, session_not_found, with_defaults
@@ -312,7 +313,7 @@ class SimCore:
     def _task(self, name: str) -> sim.Task:
         if (task := self._tasks().get(name)) is None:
             raise NotFound(
-                "`task` must be the name of a task; there is none of that name.",
+                f"`task` must be the name of a task; got {quoted(name)}.",
                 field="task",
                 hint="ListTasks names those that there are.",
             )

@@ -20,7 +20,7 @@ from freerein.cli.output import print_json
 from freerein.cli.tables import show_table
 from freerein.clients import RewardClient
 from freerein.data.annotation_table import lines
-from freerein.errors import InvalidInput, must_be
+from freerein.errors import InvalidInput, must_be, quoted
 from freerein.metrics import wilson_interval
 from freerein.types.common import Image, ModelRef
 from freerein.types.reward import RewardRequest
@@ -114,7 +114,7 @@ def read_answers(folder: Path) -> list[Answer]:
 def _image(folder: Path, name: str, *, number: int) -> Sequence[Image]:
     if not name or not (folder / name).is_file():
         raise InvalidInput(
-            f"Line {number}, column `image`, must name a file below the folder; there is none of this name.",
+            f"Line {number}, column `image`, must name a file below the folder; got {quoted(name)}.",
             field="image",
             hint="Write kitchen/0.png for DIR/kitchen/0.png.",
         )

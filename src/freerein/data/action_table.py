@@ -50,7 +50,8 @@ def _read(table: bytes, file: str) -> tuple[tuple[str, ...], list[tuple[int, lis
     _check_names(number, first, names, file)
     rows = [(line, _floats(line, cells, file)) for line, cells in lines[bool(names) :]]
     if not rows:
-        raise _error(f"`{file}` must have the action of an image in each line; it has none", _EXAMPLE)
+        found = "a line of names alone" if names else "no lines"
+        raise _error(f"`{file}` must have the action of an image in each line; it has {found}", _EXAMPLE)
     for line, numbers in rows:
         if len(numbers) != len(first):
             expected = f"have {len(first)} numbers, as many as line {number}; it has {len(numbers)}"
@@ -65,10 +66,9 @@ def _lines(table: bytes, file: str) -> list[tuple[int, list[str]]]:
     try:
         reader = csv.reader(io.StringIO(table.decode("utf-8-sig"), newline=""), strict=True)
         return [(reader.line_num, line) for line in reader if line]
-    except (UnicodeDecodeError, csv.Error):
-        raise _error(
-            f"`{file}` must be CSV in UTF-8 with the action of an image in each line; it is not", _EXAMPLE
-        ) from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        rule = "CSV in UTF-8 with the action of an image in each line"
+        raise _error(f"`{file}` must be {rule}; reading it failed: {error}", _EXAMPLE) from None
 
 
 def _check_names(line: int, cells: Sequence[str], names: Sequence[str], file: str) -> None:
@@ -76,7 +76,7 @@ def _check_names(line: int, cells: Sequence[str], names: Sequence[str], file: st
     nameless = [cell for cell in cells if not cell.strip() or _UNNAMED.fullmatch(cell.strip())]
     if nameless:
         place = f"Line {line}, column {cells.index(nameless[0]) + 1}, of `{file}`"
-        raise _error(f"{place} must have a name, or a number as all others; it has none", _INDEX_HINT)
+        raise _error(f"{place} must have a name, or a number as all others; got {quoted(nameless[0])}", _INDEX_HINT)
     if len(set(names)) != len(names):
         raise _error(f"Line {line} of `{file}` must have different names; one is there twice", "Rename a column.")
 

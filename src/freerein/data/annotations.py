@@ -117,7 +117,8 @@ def read_tags(
     for line in lines(table, _TAG_COLUMNS, hint=_SEVERAL_HINT):
         name = by_name.get(normal(line.cells["trajectory"]))
         if name is None:
-            raise line.error("trajectory", "name a trajectory that is there; it does not", f"The first is {names[0]}.")
+            rule = f"name a trajectory that is there; got {quoted(line.cells['trajectory'])}"
+            raise line.error("trajectory", rule, f"The first is {names[0]}.")
         if name in given:
             raise line.error("trajectory", *_NAMED_TWICE)
         given[name] = _skills(line, skills)
@@ -138,7 +139,7 @@ def _tags(table: bytes, dataset: Dataset, skills: SkillNames) -> dict[int, tuple
     for line in lines(table, _TAG_COLUMNS, hint=_SEVERAL_HINT):
         episode = line.integer("trajectory", least=0, most=max(known, default=0))
         if episode not in known:
-            raise line.error("trajectory", "name an episode that is there; it does not", "Leave the line out.")
+            raise line.error("trajectory", f"name an episode that is there; got {episode}", "Leave the line out.")
         if episode in given:
             raise line.error("trajectory", *_NAMED_TWICE)
         given[episode] = _skills(line, skills)

@@ -141,7 +141,7 @@ def check(root: Path) -> list[Problem]:
 
 
 def predict_fit(root: Path) -> FitPrediction:
-    """Returns what a fit of segmentation with the default configuration takes; for a dataset without errors."""
+    """Returns time and memory of a segmentation fit with the default configuration; for a dataset without errors."""
     dataset = Dataset(root)
     batches = _default_batches(dataset)
     (camera,) = choose_cameras(dataset, ())
@@ -201,10 +201,16 @@ def _check_data_file(
     row = meta.describe(meta.read_data_file(root, index), index=index, first_frame=first_frame)
     rows = read_rows([path], index=index, columns=schema.names)
     if len(rows) != row["length"] or not rows.schema.equals(schema):
-        raise InvalidInput(f"The file must hold trajectory {index} alone, in the dataset's columns; it does not.")
+        raise InvalidInput(
+            f"The file must hold {row['length']} timesteps, of trajectory {index} alone, in columns {schema.names}; it "
+            f"has {len(rows)} of it, in {rows.schema.names}."
+        )
     t = np.arange(len(rows))
     if not (np.array_equal(rows["frame_index"], t) and np.array_equal(rows["index"], first_frame + t)):
-        raise InvalidInput(f"The frames must count on from frame {first_frame} of the dataset; they do not.")
+        found = rows["index"][0].as_py() if len(rows) else "none"
+        raise InvalidInput(
+            f"The frames must count on from frame {first_frame} of the dataset, one by one; the first is {found}."
+        )
     if sha256 and row["data/sha256"] != sha256:
         raise InvalidInput("The file must be as it was written; it has changed since.")
     number = tasks.setdefault(row["tasks"][0], len(tasks))
@@ -234,7 +240,7 @@ def _truth_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
     for index in truth.stored(root):
         where = layout.trajectory_path(Path("truth"), index).as_posix()
         if index >= len(lengths):
-            sentence = "Labels must belong to a trajectory; there is none of this number."
+            sentence = f"Labels must be of one of the {len(lengths)} trajectories, from 0 on; got {index}."
             yield Problem(where, sentence, "Open the dataset for writing once: such labels are deleted.")
             continue
         try:
@@ -242,8 +248,10 @@ def _truth_problems(root: Path, spec: DatasetSpec) -> Iterator[Problem]:
         except ServiceError as error:
             yield Problem(where, error.detail, _RESTORE)
             continue
-        if len(labels) != lengths[index] or np.any((labels < NO_SKILL) | (labels >= len(spec.skills))):
-            sentence = f"There must be {lengths[index]} labels in [{NO_SKILL}, {len(spec.skills)}); these are not."
+        outside = int(np.sum((labels < NO_SKILL) | (labels >= len(spec.skills))))
+        if len(labels) != lengths[index] or outside:
+            rule = f"There must be {lengths[index]} labels in [{NO_SKILL}, {len(spec.skills)})"
+            sentence = f"{rule}; got {len(labels)}, of which {outside} are outside."
             yield Problem(where, sentence, _RESTORE)
 
 

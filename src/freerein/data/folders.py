@@ -158,7 +158,7 @@ class ImageSource(Source):
     Args:
         folder: Holds PNG, JPEG or WebP files.
         size: Height and width to scale images to; None for those of the first image, with a shorter side of 128: how
-            things lie to one another is told in its proportions.
+            things lie to one another can be seen in its proportions.
 
     Raises:
         NotFound: There are fewer than two images.

@@ -15,7 +15,7 @@ from freerein.atomic_files import write_atomic
 from freerein.data import json_files
 from freerein.data.meta import WriterLock
 from freerein.data.reader import Dataset
-from freerein.errors import InvalidInput, must_be
+from freerein.errors import InvalidInput, must_be, quoted
 from freerein.types.orchestrator import LabelSegment
 from freerein.unknown_names import described, listed
 
@@ -58,9 +58,10 @@ def read(root: Path, dataset: Dataset, index: int) -> tuple[LabelSegment, ...]:
             LabelSegment(int(each["start"]), int(each["end"]), str(each["skill"])) for each in document["segments"]
         ]
         check_segments(segments, timesteps=int(dataset.lengths[index]), known={each.skill for each in segments})
-    except (ValueError, KeyError, TypeError, InvalidInput):
+    except (ValueError, KeyError, TypeError, InvalidInput) as error:
         raise InvalidInput(
-            f"`{_FOLDER}/{path.name}` must hold labels of the whole trajectory as freerein wrote them; it does not.",
+            f"`{_FOLDER}/{path.name}` must hold labels of the whole trajectory as freerein wrote them; reading it "
+            f"failed: {quoted(repr(error))}.",
             hint=_HINT,
         ) from None
     return tuple(segments)

@@ -3,7 +3,7 @@
     trajectory,start,end,skill        reach 0.0 1.2        Tier   Begin Time - ss.msec   End Time - ss.msec   Annotation
     0,0,41,reach                      pour 1.5 4.0         main   0.0                    1.2                  reach
 
-Columns are told by their names, or without names by what the first line holds.
+Columns are recognised by their names, or without names by the contents of the first line.
 """
 
 import math
@@ -43,7 +43,7 @@ _HINT = "For example: trajectory,start,end,skill; or trajectory,timestep,skill w
 
 @dataclass(frozen=True)
 class LabelOptions:
-    """How to read a table of labels.
+    """Options for reading a table of labels.
 
     Attributes:
         trajectory: Index of the trajectory that a table without a column of it is about.
@@ -86,7 +86,7 @@ def read_segments(
         lengths: Timesteps of each trajectory.
         fps: Timesteps per second.
         options: How to read it.
-        on_note: Called with a sentence where the unit of times was told by the numbers.
+        on_note: Called with a sentence where the unit of times was inferred from the numbers.
 
     Raises InvalidInput, with line and column, where it is no such table, or a segment does not lie in its trajectory.
     """
@@ -98,11 +98,11 @@ def read_segments(
     lines = _of_tier(lines, columns, roles, options.tier)
     if "trajectory" not in roles and options.trajectory is None:
         raise InvalidInput(
-            "Line 1 must name a column `trajectory`; it does not.",
+            f"Line 1 must name a column `trajectory`; got {', '.join(map(quoted, columns))}.",
             field="header",
             hint="Or say which one the table is about: --trajectory 0.",
         )
-    reader = _Reader(roles, options.unit or unit or _told_by_numbers(lines, roles, on_note), fps, lengths, options)
+    reader = _Reader(roles, options.unit or unit or _unit_of_numbers(lines, roles, on_note), fps, lengths, options)
     segments = [reader.segment(each, place) for place, each in enumerate(lines)]
     return [each for each in segments if each.skill]
 
@@ -202,7 +202,8 @@ def _by_contents(found: list[tuple[int, list[str]]]) -> _Table:
     texts = [column for column, cell in zip(columns, cells, strict=True) if cell.strip() and column not in times]
     formats = _formats([_seconds(cells[int(column) - 1].strip()) for column in times])
     if not texts or formats is None:
-        raise InvalidInput(f"Line {number} must name the columns; it does not.", field="header", hint=_HINT)
+        got = ", ".join(map(quoted, cells))
+        raise InvalidInput(f"Line {number} must name the columns; got {got}.", field="header", hint=_HINT)
     roles = {"skill": texts[-1]} | ({"tier": texts[0]} if len(texts) > 1 else {})
     if len(times) == 1:
         roles["timestep"] = times[0]
@@ -253,7 +254,7 @@ def _one_tier(tiers: Sequence[str], asked: str) -> str:
     )
 
 
-def _told_by_numbers(lines: Sequence[Line], roles: dict[str, str], on_note: Callable[[str], None]) -> TimeUnit:
+def _unit_of_numbers(lines: Sequence[Line], roles: dict[str, str], on_note: Callable[[str], None]) -> TimeUnit:
     times = [roles[role] for role in ("start", "end", "timestep") if role in roles]
     if not any(mark in each.cells[column] for each in lines for column in times for mark in ".:"):
         return "timesteps"

@@ -121,7 +121,7 @@ def read_info(root: Path) -> dict[str, Any]:
     path = root / layout.INFO_FILE
     if not path.is_file():
         raise NotFound(
-            "There must be a dataset of this name; there is none.",
+            f"There must be a dataset of this name; got {quoted(root.name)}.",
             hint="`freerein dataset list` names those that there are.",
         )
     with corrupt_as_invalid("`info.json`"):
@@ -132,8 +132,9 @@ def read_info(root: Path) -> dict[str, Any]:
         raise must_be("The dataset", "a LeRobotDataset v3", found, field="", hint=hint)
     has_own_paths = info.get("data_path") == layout.DATA_PATH and info.get("video_path") in (None, layout.VIDEO_PATH)
     if not has_own_paths:
+        found = ", ".join(quoted(str(info.get(name))) for name in ("data_path", "video_path"))
         raise InvalidInput(
-            "The dataset must keep LeRobot's own data and video paths; it does not.",
+            f"The dataset must keep LeRobot's own paths, {layout.DATA_PATH} and {layout.VIDEO_PATH}; got {found}.",
             hint="Write it again with LeRobotDataset.create.",
         )
     return info

@@ -26,7 +26,7 @@ from freerein.data.language_rows import Subtasks
 from freerein.data.reader import Dataset
 from freerein.data.staged_files import staged_files
 from freerein.data.trajectory_file import corrupt_as_invalid
-from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound
+from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, quoted
 from freerein.regular_files import open_regular
 from freerein.types.orchestrator import LabelSegment
 
@@ -103,7 +103,8 @@ def _check_is_foreign(original: Path) -> None:
     """Raises NotFound or InvalidInput where a folder holds no dataset of another tool."""
     if not (original / layout.INFO_FILE).is_file():
         raise NotFound(
-            "There must be a LeRobotDataset v3 in the folder, with `meta/info.json`; there is none.", hint=_HINT
+            f"There must be a LeRobotDataset v3 in the folder; {quoted(str(original))} has no `{layout.INFO_FILE}`.",
+            hint=_HINT,
         )
     if meta.read_spec(original) is not None:
         raise InvalidInput(

@@ -13,7 +13,7 @@ _INDICES = frozenset(("timestamp", "frame_index", "episode_index", "index", "tas
 _ACTION = "action"
 SUBTASK_COLUMNS = ("subtask_index", "language_persistent")
 _MOST_NUMBERS = 10_000
-"""Of an action, or of a state."""
+"""Most numbers of an action, or of a state."""
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ class LeRobotSource(Source):
             self._dataset = Dataset(folder, options)
         except NotFound:
             raise NotFound(
-                "There must be a LeRobotDataset v3 in the folder, with `meta/info.json`; there is none.",
+                f"There must be a LeRobotDataset v3 in the folder; {quoted(str(folder))} has no `meta/info.json`.",
                 hint="Name the folder that holds `meta`; for the MIME dataset add --layout mime.",
             ) from None
         self._size = size

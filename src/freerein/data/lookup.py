@@ -5,7 +5,7 @@ from pathlib import Path
 
 from freerein.data.layout import dataset_path
 from freerein.data.reader import Dataset
-from freerein.errors import InvalidInput, NotFound, must_be
+from freerein.errors import InvalidInput, NotFound, must_be, quoted
 from freerein.types.common import is_name
 
 
@@ -14,7 +14,7 @@ def open_dataset(data_dir: Path, name: str) -> Dataset:
     path = dataset_path(data_dir, name)
     if not path.is_dir():
         raise NotFound(
-            "The dataset must be in the data directory; there is none of that name.",
+            f"The dataset must be in the data directory; got {quoted(name)}.",
             field="dataset",
             hint="Record one: freerein sim demonstrate TASK --out NAME.",
         )

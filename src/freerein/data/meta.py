@@ -28,14 +28,14 @@ from freerein.data.layout import DatasetSpec, dumps, loads
 from freerein.data.statistics import QUANTILES, STATISTICS, FeatureStatistics
 from freerein.data.tags import Tags
 from freerein.data.trajectory_file import read_footer
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, quoted
 from freerein.regular_files import open_regular, read_regular
 
 Row: TypeAlias = dict[str, Any]
 
 _FILES = (layout.SPEC_FILE, layout.TASKS_FILE, layout.EPISODES_FILE, layout.STATS_FILE, layout.INFO_FILE)
 _MOST_DATA_BYTES = 2**33
-"""Of a data file: a long trajectory has gigabytes."""
+"""Largest data file: a long trajectory has gigabytes."""
 
 _INTEGERS = ("length", "data/chunk_index", "data/file_index", "dataset_from_index", "dataset_to_index", "data/bytes")
 
@@ -197,7 +197,7 @@ def describe(data: bytes, *, index: int, first_frame: int) -> Row:
     footer = read_footer(io.BytesIO(data), index=index)
     if footer is None:
         raise InvalidInput(
-            f"Trajectory {index} must have been written by freerein like the others of its dataset; it was not.",
+            f"Trajectory {index} must have been written by freerein, as its dataset was; its file has no such footer.",
             hint="Move data files of other tools into a dataset of their own.",
         )
     return {
@@ -251,8 +251,9 @@ def read_teachers(root: Path) -> list[dict[str, Any]]:
         return []
     try:
         return [dict(card) for card in json_files.read(path, name=layout.TEACHERS_FILE)]
-    except (ValueError, TypeError):
-        sentence = "`teachers.json` must hold the cards of policies as freerein wrote them; it does not."
+    except (ValueError, TypeError) as error:
+        rule = "`teachers.json` must hold the cards of policies as freerein wrote them"
+        sentence = f"{rule}; reading it failed: {quoted(repr(error))}."
         raise InvalidInput(sentence, hint="Restore it from a copy.") from None
 
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from freerein.data.importing import Source
 from freerein.data.layout import DatasetSpec
 from freerein.data.videos import BOUNDS, joined
-from freerein.errors import InvalidInput, NotFound
+from freerein.errors import InvalidInput, NotFound, quoted
 from freerein.regular_files import read_regular
 from freerein.types.common import ActionSpec, Trajectory
 from freerein.video import frames_at_rate, open_video
@@ -55,7 +55,7 @@ class MimeSource(Source):
         self._demonstrations = sorted(set(found))
         if not self._demonstrations:
             raise NotFound(
-                f"There must be folders TASK/DEMONSTRATION with `{_ANGLES}`; there are none.",
+                f"There must be folders TASK/DEMONSTRATION with `{_ANGLES}`; {quoted(str(folder))} has none.",
                 hint="Name the folder that holds the folders of the tasks.",
             )
         self._joints = tuple(sorted(set(_angles(self._demonstrations[0])[0]) - set(_STILL)))

@@ -42,7 +42,7 @@ def read(root: Path, lengths: npt.NDArray[np.int64]) -> tuple[Flags, ...]:
         if len(values) != length or not np.isin(values, (0, 1)).all():
             raise InvalidInput(
                 f"Whether each of the {length} frames of trajectory {index} shows its goal must be known, as 0 or 1; "
-                f"it is not: got {len(values)} numbers.",
+                f"got {len(values)} numbers, {int(np.sum(~np.isin(values, (0, 1))))} of them others.",
                 field="dataset",
                 hint="Record the dataset again, or restore its folder `reached` from a copy.",
             )

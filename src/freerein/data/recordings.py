@@ -1,4 +1,4 @@
-"""Which files in a folder of people's own are of which trajectory and camera; what is ambiguous is refused.
+"""Assignment of files in a person's folder to trajectories and cameras; ambiguous names are refused.
 
     <folder>/<trajectory>/0.png, 1.png, ...            images of one camera, in the order of their numbers or times
              <trajectory>/<camera>/0.png, ...          or of several
@@ -27,7 +27,7 @@ CAMERA = "camera"
 ACTIONS, TAGS = "actions.csv", "tags.csv"
 _IMAGES, _VIDEOS = frozenset((".png", ".jpg", ".jpeg", ".webp")), frozenset((".mp4", ".m4v", ".mov"))
 _NOTES = frozenset((".csv", ".json", ".md", ".txt"))
-"""Of files beside images and videos that may be there and are not read, but for the tables."""
+"""Suffixes of files that may lie beside images and videos and are not read, but for the tables."""
 
 _SYSTEM = frozenset(
     [

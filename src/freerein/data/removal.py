@@ -10,7 +10,7 @@ from freerein.data import labels, layout
 from freerein.data.cache import delete_cached, unused_folders
 from freerein.data.folder_locks import unused
 from freerein.data.meta import WriterLock
-from freerein.errors import FailedPrecondition, NotFound
+from freerein.errors import FailedPrecondition, NotFound, quoted
 
 _TEMPORARY = (".copy-", ".create-", ".deleted-", ".import-", ".record-")
 """Prefixes of `temporary_folder` and `delete_folder`."""
@@ -63,7 +63,7 @@ def _unwritten(root: Path) -> Iterator[None]:
     """Keeps writers of a dataset and of its labels out; a link goes without a look at where it leads."""
     if not root.is_symlink() and not root.is_dir():
         raise NotFound(
-            "The dataset must be in the data directory; there is none of that name.",
+            f"The dataset must be in the data directory; got {quoted(root.name)}.",
             field="dataset",
             hint="`freerein dataset list` names all.",
         )

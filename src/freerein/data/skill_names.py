@@ -3,6 +3,8 @@
 import unicodedata
 from collections.abc import Callable, Iterable
 
+from freerein.errors import quoted
+
 SEPARATOR = ";"
 _SEPARATORS = SEPARATOR + ",|/\\&+\t\n\r\u3001\uff0c\uff1b\uff5c\uff0f"  # and those of Chinese and Japanese
 _LONGEST = 64
@@ -41,7 +43,8 @@ class SkillNames:
         if name not in self._known:
             _check_apart(normal(text))
             if not 0 < len(name) <= _LONGEST or not name.isprintable():
-                raise ValueError(f"hold names of 1 to {_LONGEST} characters, separated by `{SEPARATOR}`; it does not")
+                rule = f"hold names of 1 to {_LONGEST} printable characters, separated by `{SEPARATOR}`"
+                raise ValueError(f"{rule}; got one of {len(name)}, {quoted(name)}")
             name = self._folded(name)
         return name
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from freerein.atomic_files import write_atomic
 from freerein.data import json_files
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, quoted
 
 _FILE = "tags.json"
 
@@ -48,9 +48,9 @@ def read(root: Path) -> Tags | None:
         document = json_files.read(path, name=_FILE)
         tagged = {int(index): tuple(map(str, skills)) for index, skills in document["by_trajectory"].items()}
         return Tags(tuple(map(str, document["skills"])), tagged)
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InvalidInput(
-            "`tags.json` must hold the tags as freerein wrote them; it does not.",
+            f"`tags.json` must hold the tags as freerein wrote them; reading it failed: {quoted(repr(error))}.",
             hint="Delete it, then tag the dataset again: freerein dataset tag NAME tags.csv.",
         ) from None
 

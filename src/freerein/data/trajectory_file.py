@@ -41,7 +41,7 @@ EPISODE, ORDER = "episode_index", "frame_index"
 
 _GROUP_ROWS = 256  # so that a few frames of a long trajectory can be read
 MOST_ROWS = 10_000_000
-"""Of a table that is read at once: repeated rows take no room in a file."""
+"""Most rows of a table that is read at once: repeated rows take no room in a file."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def decode_frames(rows: pa.Table, *, camera_key: str, size: tuple[int, int, int]
     for t, data in enumerate(encoded):
         if not isinstance(data, bytes):
             raise InvalidInput(
-                f"Every frame must be stored in the data file; frame {t} is not.",
+                f"Every frame must be stored in the data file, as bytes; frame {t} is {type(data).__name__}.",
                 hint="Export the dataset again with its images embedded.",
             )
         pixels = images.decode(Image(images.sniff(data, field="frames"), 0, 0, data), field="frames")

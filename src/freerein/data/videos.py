@@ -13,10 +13,10 @@ from freerein.errors import InvalidInput
 from freerein.video import Video, VideoBounds, VideoFrame, open_video
 
 BOUNDS = VideoBounds(frames=10_000_000, memory_bytes=2**31, cpu_s=86_400, silence_s=60.0)
-"""Of a file that the user chose, which may hold hours: wider than for a request, and still bounded."""
+"""Bounds of a file that the user chose, which may hold hours: wider than for a request, and still bounded."""
 
 _TOLERANCE = 0.25
-"""Of the time between frames: time stamps are sums of rounded numbers, yet never nearer to another frame."""
+"""Tolerance of time stamps, as a share of the time between frames: they are sums of rounded numbers."""
 
 _ROUNDING = 1.03
 """Ratio of proportions up to which they count as one, such as those of 1080 x 1920 and 96 x 170."""

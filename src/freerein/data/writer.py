@@ -13,7 +13,7 @@ from freerein.data.folder_locks import temporary_folder
 from freerein.data.layout import DatasetSpec
 from freerein.data.meta import Row, WriterLock
 from freerein.data.trajectory_file import Actions, State, encode
-from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, must_be
+from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, must_be, quoted
 from freerein.types.common import MAX_TEXT, Trajectory
 
 
@@ -54,7 +54,7 @@ def open_writer(root: Path) -> "Writer":
     spec = meta.read_spec(root) if root.is_dir() else None
     if spec is None:
         raise NotFound(
-            "There must be a dataset that freerein wrote; there is none.",
+            f"There must be a dataset that freerein wrote; {quoted(str(root))} holds none.",
             hint="Make one with create; datasets of other tools can only be read.",
         )
     return Writer(root, spec)
@@ -187,9 +187,10 @@ def _check_actions(actions: Actions, spec: DatasetSpec) -> None:
     if actions.dtype != spec.action.dtype or actions.shape[1:] != (spec.action.size,) or not len(actions):
         raise must_be("actions", expected, f"{actions.dtype} {actions.shape}")
     low, high = spec.action_bounds
-    if not np.all((actions >= low) & (actions <= high)):
+    outside = int(np.sum(~((actions >= low) & (actions <= high))))
+    if outside:
         raise InvalidInput(
-            f"Actions must be {spec.action_range}; some are not.",
+            f"Actions must be {spec.action_range}; {outside} of {actions.size} numbers are not.",
             field="actions",
             hint="Scale continuous actions by the world's action spec, or make the dataset without "
             "`has_scaled_actions`.",

@@ -134,7 +134,7 @@ class _FrameRewards:
     """The reward service's answers to observations; see `RewardOptions`.
 
     Attributes:
-        judgements: What each answer adds to `info`, by name.
+        judgements: Entries that each answer adds to `info`, by name.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""When a job is attempted again: three crashes without progress end it, or ten kills, each of which delays the next."""
+"""Retry policy of jobs: three crashes without progress end one, or ten kills, each of which delays the next."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ _FIRST_PAUSE_S, _MAX_PAUSE_S = 0.5, 60.0
 
 @dataclass(frozen=True)
 class AttemptResult:
-    """How an attempt ended.
+    """Outcome of an attempt.
 
     Attributes:
         outcome: `succeeded` and `failed` end the job. After `crashed`, by a fault of its own, and `killed`, by a signal

@@ -6,7 +6,7 @@ from pathlib import Path
 
 STANDSTILL_S = 300.0
 _LEAST_CPU_TICKS = 10
-"""Of 10 ms each: threads of libraries that wait use less in `STANDSTILL_S`."""
+"""Least CPU time, in ticks of 10 ms: threads of libraries that wait use less in `STANDSTILL_S`."""
 
 
 class Standstill:

@@ -22,8 +22,8 @@ class ActionScaling:
     """A linear map of each number of an action; a model's card keeps it: scaled = 2 (a - low) / (high - low) - 1.
 
     Attributes:
-        low: What becomes -1: the 1 % quantile.
-        high: What becomes 1: the 99 % quantile; greater than `low`.
+        low: Value that is scaled to -1: the 1 % quantile.
+        high: Value that is scaled to 1: the 99 % quantile; greater than `low`.
     """
 
     low: tuple[float, ...]

@@ -1,6 +1,6 @@
 """Augmentation of images by what cameras and light do: brightness, colour temperature, hue, small shifts, noise.
 
-What an image shows stays what it was, and so does all that a fit is told of it: this adds no supervision.
+What an image shows stays what it was, and so do its labels: this adds no supervision.
 """
 
 import math
@@ -19,7 +19,7 @@ _TEMPERATURE, _TINT = 0.18, 0.05
 
 _HUE_TURN = 0.11
 """Largest turn of all hues, as a share of the colour circle. The background turns with the objects, so that what was
-red can still be told from what was yellow; a turn of twice as much would make green of yellow."""
+red still differs from what was yellow; a turn of twice as much would make green of yellow."""
 
 _SHIFT = 0.11
 """Largest shift along each axis, as a share of the frame."""
@@ -169,7 +169,7 @@ def resized_crops(frames: Tensor, *, generator: torch.Generator) -> Tensor:
 def delayed(strength: float, *, step: int, steps: int) -> float:
     """Returns the strength at an optimiser step: 0 in the first two fifths of a fit, then the whole.
 
-    What frames show is found before what does not matter: while skills are still being told apart, agreement makes the
+    What frames show is found before what does not matter: while the fit is still separating skills, agreement makes the
     network sure of what it has confused so far.
     """
     return strength if step >= _BEGIN * steps else 0.0

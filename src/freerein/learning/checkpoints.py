@@ -92,7 +92,7 @@ def _read(path: Path, step: int) -> Checkpoint:
     document, tensors = _read_json(path / _DOCUMENT), (path / _TENSORS).read_bytes()
     found = {_DOCUMENT: hashlib.sha256(document).hexdigest(), _TENSORS: hashlib.sha256(tensors).hexdigest()}
     if hashes != found:
-        raise InvalidInput("A checkpoint's files must match the sha256 in its manifest; one does not.")
+        raise InvalidInput(f"A checkpoint's files must match the sha256 in its manifest; got {found}.")
     return Checkpoint(step, tensor_files.parse(tensors), _object(document))
 
 

@@ -78,9 +78,10 @@ class FitDataset:
         """Raises InvalidInput for actions that `freerein dataset check` calls an error, or in an unexpected unit."""
         spec = self.dataset.spec
         steps, (low, high) = self.dataset.cached_actions().steps, spec.action_bounds
-        if not np.all((steps >= low) & (steps <= high)):
+        outside = int(np.sum(~((steps >= low) & (steps <= high))))
+        if outside:
             raise InvalidInput(
-                f"Actions must be {spec.action_range}; some are not.",
+                f"Actions must be {spec.action_range}; {outside} of {steps.size} numbers are not.",
                 field="dataset",
                 hint="Run `freerein dataset check NAME` to see which trajectories, and leave those out.",
             )

@@ -1,4 +1,4 @@
-"""How much an answer is like those on held-out data: a score that falls where a model does not know what it sees.
+"""In-distribution score: the similarity of an answer to those on held-out data; it falls on unfamiliar inputs.
 
 Two things make an answer doubtful: frames unlike those of the fit (Mahalanobis distance, as Lee et al., "A simple
 unified framework for detecting out-of-distribution samples", 2018, but of `image_statistics`), and little confidence
@@ -160,7 +160,7 @@ class InDistribution(nn.Module):
 
 
 def _whitening(known: Tensor) -> Tensor:
-    """Returns what makes statistics (N, D) minus their mean of equal spread: float64 (D, D)."""
+    """Returns the whitening matrix of statistics (N, D) minus their mean: float64 (D, D)."""
     covariance = torch.cov(known.double().T, correction=0).reshape(known.shape[1], -1)
     ridge = _SHRINKAGE * covariance.diagonal().mean().clamp(min=1e-12)
     ridged = covariance + ridge * torch.eye(len(covariance), dtype=torch.float64, device=covariance.device)

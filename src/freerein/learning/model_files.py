@@ -80,7 +80,8 @@ def load_model(
         network.load_state_dict(weights, assign=True)
     except (OSError, RuntimeError) as error:
         raise InvalidInput(
-            "A model's weights must have the names, shapes and types that its card describes; some do not.",
+            "A model's weights must have the names, shapes and types that its card describes; loading them failed: "
+            f"{quoted(str(error))}.",
             hint="Fit the model again, or restore its folder from a copy.",
         ) from error
     return network.to(choose_device(device)).eval()

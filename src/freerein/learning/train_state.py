@@ -22,7 +22,7 @@ class TrainState(Generic[N]):
     Attributes:
         generator: Source of all randomness of an optimiser step, on the CPU.
         step: Optimiser steps done.
-        carried: What else a learner keeps from step to step, by name; it is saved with the rest.
+        carried: Other state of a learner, by name; it is saved with the rest.
     """
 
     network: N
@@ -133,7 +133,7 @@ def from_checkpoint(
     Args:
         checkpoint: The checkpoint.
         fresh: State before the first step.
-        identity: What the result depends on now.
+        identity: Present inputs of the fit, on which its result depends.
         defaults: Keys of its `config` that a checkpoint of an earlier version may lack, with the values that it had.
 
     Raises:

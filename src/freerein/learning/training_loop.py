@@ -64,7 +64,7 @@ class FitResult(Generic[N]):
 
     Attributes:
         best_step: The steps after which it was reached.
-        carried: What else the learner kept at the end of the fit.
+        carried: Other state of the learner at the end of the fit.
     """
 
     network: N
@@ -151,7 +151,7 @@ def _start(learner: Learner[N]) -> FitLoopState[N]:
 
 
 def _identity(learner: Learner[N], state: TrainState[N]) -> dict[str, JSON]:
-    """Returns what the result depends on, as it comes back from a checkpoint."""
+    """Returns the inputs on which the result depends, as a checkpoint has them."""
     config = json.loads(json.dumps(asdict(learner.config)))
     device = str(next(state.network.parameters()).device)
     return {"config": config, "data": learner.fingerprint, "torch": torch.__version__, "device": device}

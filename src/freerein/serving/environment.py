@@ -114,7 +114,7 @@ def _is_of_containers(variable: str, value: str) -> bool:
 
 
 def reasons(error: ValidationError) -> str:
-    """Returns what is wrong with settings, by their variables, without their values."""
+    """Returns the errors of settings, by their variables, without their values."""
     found = [("_".join(map(str, each["loc"])).upper(), each["msg"]) for each in error.errors()]
     return "; ".join(f"{OURS}_{name}: {text}" if name else text.removeprefix("Value error, ") for name, text in found)
 

@@ -1,4 +1,4 @@
-"""Which gRPC calls are answered: those with the token, while there is a place, whose message arrives in time."""
+"""Admission of gRPC calls: they need the token, a free place, and a message that arrives in time."""
 
 import asyncio
 import inspect

@@ -8,6 +8,7 @@ from google.protobuf.descriptor import ServiceDescriptor
 from pydantic import Field, model_validator
 
 from freerein.api.learning.v1 import learning_pb2
+from freerein.errors import quoted
 from freerein.fork_server import StartChild, spawn
 from freerein.jobs.in_use import check_unused, names_model
 from freerein.jobs.names import LINKS
@@ -42,7 +43,8 @@ class LearnedSettings(ServiceSettings):
     @model_validator(mode="after")
     def _check_shipped_dir(self) -> Self:
         if self.shipped_dir and self.shipped_dir.name != _NO_FOLDER and not self.shipped_dir.is_dir():
-            raise ValueError(f"FREEREIN_SHIPPED_DIR must be a folder, or `{_NO_FOLDER}`; there is none of that name")
+            found = quoted(str(self.shipped_dir))
+            raise ValueError(f"FREEREIN_SHIPPED_DIR must be a folder, or `{_NO_FOLDER}`; there is no folder {found}")
         return self
 
 

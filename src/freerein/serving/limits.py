@@ -9,7 +9,7 @@ from freerein.errors import Overloaded
 MAX_VALUES = 200_000
 """Values in one JSON body, or fields and packed numbers in one gRPC message."""
 COPIES = 3
-"""Of a body or message in memory: as received, as parsed, and decoded from base64 or multipart."""
+"""Copies of a body or message in memory: as received, as parsed, and decoded from base64 or multipart."""
 MAX_INLINE_BYTES = 64 * 1024
 """Longer bodies and messages are parsed off the event loop, unless they are images: of few values, and not too long."""
 MAX_INLINE_IMAGE_BYTES = 2**20

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from freerein.errors import FailedPrecondition, InvalidInput, NotFound
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound, quoted
 from freerein.model_store import DEFAULT_NAME, ModelStore, model_card
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import (
@@ -87,7 +87,7 @@ class ModelCache(Generic[M]):
         version = ref.version or self._store.active_version(name)
         if not version:
             raise FailedPrecondition(
-                "The request needs an active model; none of that name is active.",
+                f"The request needs an active model; no version of {quoted(name)} is active.",
                 field="model",
                 hint=self._hint(),
             )

@@ -16,8 +16,7 @@ class Run(Job):
 
     Attributes:
         model: Published to a service; None until a run that makes one has succeeded.
-        truth: What it is told that no learner may see, such as true rewards, and what for; empty where it is told
-            nothing.
+        truth: The privileged data that it reads, such as true rewards, and their purpose; empty for none.
     """
 
     kind: str

@@ -226,7 +226,7 @@ def _arrays(output: PolicyOutput) -> tuple[npt.NDArray[Any], ...]:
 
 def _not_finite() -> OutputNotFinite:
     return OutputNotFinite(
-        "The policy's output must be finite; it is not for this observation.",
+        "The policy's output must be finite; got NaN or infinity for this observation.",
         field="observation",
         hint="Start anew without a state; if it happens again, report it.",
     )

@@ -90,7 +90,7 @@ class PolicySession:
     def answer(
         self, done: BatchResult[InferenceResult], *, arrived_ns: int, decoding_ns: int | None = None
     ) -> dict[str, Any]:
-        """Returns what replies over all protocols have in common, and keeps the state for the next observation.
+        """Returns the common part of replies over all protocols, and keeps the state for the next observation.
 
         Args:
             done: The model's answer to the observation.

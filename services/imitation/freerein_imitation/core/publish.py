@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from freerein.config import parse
-from freerein.errors import FailedPrecondition, InvalidInput, NotFound
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound, quoted
 from freerein.learning.actor_critic import policy_files
 from freerein.learning.model_files import save_model
 from freerein.types.common import ActionSpec, Camera, ModelRef, check_id, check_name
@@ -67,7 +67,9 @@ def convert(artifacts: Path, folder: Path, *, data: str) -> str:
     """
     if not artifacts.parent.is_dir():
         raise NotFound(
-            "The run must exist; there is none of that id.", field="run", hint="`freerein jobs list` names the runs."
+            f"The run must exist; got the id {quoted(artifacts.parent.name)}.",
+            field="run",
+            hint="`freerein jobs list` names the runs.",
         )
     if not (artifacts / policy_files.NAMES.card).is_file():
         raise FailedPrecondition(
@@ -94,7 +96,7 @@ def _spec(policy: policy_files.StoredPolicy) -> tuple[ppo.PPOPolicySpec, Control
         control = ControlSpec(float(card["control_dt_s"]), NEVER_REACHED, int(card["max_episode_steps"]))
     except (KeyError, TypeError, ValueError, InvalidInput) as error:
         raise FailedPrecondition(
-            "The policy must have been stored with its actions and control rate; it was not.",
+            f"The policy must have been stored with its actions and control rate; got: {quoted(repr(error))}.",
             field="run",
             hint="Train the policy again: earlier versions of freerein did not keep them.",
         ) from error

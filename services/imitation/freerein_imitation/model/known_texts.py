@@ -1,6 +1,6 @@
-"""Which goal texts a policy can act on: what one of its training texts says, or a relation of two objects.
+"""Goal texts that a policy accepts: those that state a training text's goal, or a relation of two objects.
 
-The objects are those of the training texts, and those that a policy can find without having been told to.
+The objects are those of the training texts, and those that a policy can find without training on them.
 
 A network makes something of any text, of `do not put A on B` much the same as of `put A on B`. So goal texts are read
 by the grammar that the reward's are read by, and what that cannot read is no goal.
@@ -52,7 +52,7 @@ class KnownTexts:
         self._by_statement = {statement: text for statement, text in read if statement is not None}
 
     def read(self, text: str) -> KnownText:
-        """Returns what a text says."""
+        """Returns the statement of a text."""
         goal = self._grammar.read(text)
         if goal.statement is None and self._any_object:
             goal = self._with_objects_of(text).read(text)

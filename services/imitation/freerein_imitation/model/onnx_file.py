@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from freerein.errors import FailedPrecondition, Unimplemented
+from freerein.errors import FailedPrecondition, Unimplemented, quoted
 from freerein_imitation.model.onnx_graph import PolicyGraph, Port
 
 TOLERANCE = 1e-4
@@ -62,7 +62,7 @@ def write_graph(graph: PolicyGraph, path: Path) -> None:
         raise  # of a full disk
     except Exception as error:  # torch and ONNX runtime raise many
         raise Unimplemented(
-            "A policy to export must be a graph of operations that ONNX has; this one is not.", hint=_HINT
+            f"A policy to export must be a graph of operations that ONNX has; got: {quoted(str(error))}.", hint=_HINT
         ) from error
     _check(graph, lambda given: session.run(outputs, given))
 

@@ -24,7 +24,7 @@ class Port:
         name: Its name.
         dtype: Its type, as numpy names it.
         shape: Its shape without the batch.
-        meaning: What it holds.
+        meaning: Its contents.
         start: Each number of an input at the first step, where the caller has none.
     """
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.config import parse
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, quoted
 from freerein.learning.checkpoints import JSON
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.imitation import GoalForm
@@ -24,7 +24,7 @@ NEVER_REACHED = 1.0
 """Threshold of a policy that does not predict that a goal is reached; its probability is always 0."""
 
 _CARD_KEY = "control"
-_RESTORE = "Fit the model again, or restore its folder from a copy."
+RESTORE = "Fit the model again, or restore its folder from a copy."
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class ControlSpec:
         if not (times_are_positive and 0 <= self.reached_threshold <= 1):
             raise InvalidInput(
                 "A policy must have `control_dt_s` above 0, `reached_threshold` in [0, 1] and limits of at least 1 "
-                "step; it does not.",
-                hint=_RESTORE,
+                f"step; got {self.control_dt_s:g}, {self.reached_threshold:g} and {min(limits)}.",
+                hint=RESTORE,
             )
 
     def to_card(self) -> dict[str, JSON]:
@@ -71,7 +71,9 @@ class ControlSpec:
             return parse(cls, card[_CARD_KEY])
         except (InvalidInput, KeyError, TypeError) as error:
             raise InvalidInput(
-                f"A policy's card must hold `{_CARD_KEY}`: rate, threshold and step limit; it does not.", hint=_RESTORE
+                f"A policy's card must hold `{_CARD_KEY}`: rate, threshold and step limit; reading it failed: "
+                f"{quoted(repr(error))}.",
+                hint=RESTORE,
             ) from error
 
 
@@ -118,7 +120,7 @@ class PolicySpec(ControlSpec):
             raise InvalidInput(
                 f"A policy must have as many step limits as skills, or none; got {len(self.max_steps_per_skill)} "
                 f"limits and {len(self.skills)} skills.",
-                hint=_RESTORE,
+                hint=RESTORE,
             )
 
     @cached_property

@@ -13,7 +13,7 @@ from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
-from freerein_imitation.model.policy import ControlSpec
+from freerein_imitation.model.policy import RESTORE, ControlSpec
 from freerein_imitation.model.torch_policy import PolicyNetwork, StepInputs, StepOutputs, TorchPolicy, loader
 
 METHOD = "ppo"
@@ -39,9 +39,17 @@ class PPOPolicySpec(InputSpec):
         network, shapes = self.network, [(each.height, each.width, each.channels) for each in self.cameras]
         actions = (network.action_size, network.action_choices)
         if network.vector_size or shapes != [(network.height, network.width, network.channels)] * network.cameras:
-            raise InvalidInput("The network of a ppo policy must see the frames of its cameras; this one does not.")
+            raise InvalidInput(
+                f"The network of a ppo policy must see the frames of its cameras, {shapes}; this one sees "
+                f"{network.cameras} of {(network.height, network.width, network.channels)}.",
+                hint=RESTORE,
+            )
         if actions != (self.action.size, self.action.choices):
-            raise InvalidInput("The network of a ppo policy must have the actions of its task; this one has others.")
+            raise InvalidInput(
+                f"The network of a ppo policy must have {self.action.size} numbers and {self.action.choices} choices "
+                f"per action, as its task; this one has {actions[0]} and {actions[1]}.",
+                hint=RESTORE,
+            )
 
 
 class PPOPolicyNetwork(PolicyNetwork):

@@ -127,7 +127,11 @@ def _unpack_array(parts: Mapping[bytes, Any]) -> npt.NDArray[Any]:
     data, shape = parts[b"data"], parts[b"shape"]
     are_lengths = isinstance(shape, list) and all(type(length) is int for length in shape)
     if not isinstance(data, bytes) or not are_lengths:
-        raise InvalidInput("An array must have bytes as data and a list of lengths as shape; it has not.", hint=_HINT)
+        raise InvalidInput(
+            f"An array must have bytes as data and a list of lengths as shape; got {type(data).__name__} and "
+            f"{'a list with others' if isinstance(shape, list) else type(shape).__name__}.",
+            hint=_HINT,
+        )
     return tensors.decode(_datatype(parts[b"dtype"]), shape, data, field="array")
 
 

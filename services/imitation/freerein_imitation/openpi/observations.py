@@ -52,7 +52,7 @@ class OpenpiObservation:
 
 
 def parse_observation(spec: PolicySpec, message: dict[str, Any], *, resizes: bool = False) -> OpenpiObservation:
-    """Returns what a message says to a policy; with `resizes`, images may have any height and width.
+    """Returns a policy's inputs from a message; with `resizes`, images may have any height and width.
 
     Raises:
         InvalidInput: A key is unknown or missing, or a value is of another type, dtype or shape.

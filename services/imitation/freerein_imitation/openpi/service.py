@@ -151,7 +151,7 @@ class OpenpiConnection:
             await self.pursue(message.goal)
         if self._context is None:
             raise InvalidInput(
-                "The first observation must hold the goal; it does not.",
+                "The first observation must hold the goal; got none, and none in the URL.",
                 field="goal",
                 hint="Send `prompt`, `recipe` or `goal/<camera>`, or put `goal.text` or `goal.recipe` into the URL.",
             )

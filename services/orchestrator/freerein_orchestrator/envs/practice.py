@@ -92,7 +92,7 @@ class PractisingEnvs:
         return rewards
 
     def snapshots(self) -> tuple[bytes, ...]:
-        """Returns what restores the environments, and last the starts and the state of the generator."""
+        """Returns snapshots of the environments, and last the starts and the state of the generator."""
         return (*self._envs.snapshots(), self._memory())
 
     def close(self) -> None:

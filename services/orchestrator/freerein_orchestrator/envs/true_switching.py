@@ -54,7 +54,7 @@ class TrueSwitching:
         self._steps = np.where(is_over, 0, self._steps) + 1
 
     def switch(self, policy: PolicyHandle) -> PolicyHandle:
-        """Returns a served policy, switched: to be run once, while `tell` is told the states before each action."""
+        """Returns a served policy, switched: to be run once, while `tell` gets the states before each action."""
 
         def start(session: PolicySession) -> "_SwitchedPolicy":
             served = policy.start(replace(session, goals=self.goals))

@@ -34,7 +34,7 @@ T = TypeVar("T")
 RewardFn: TypeAlias = Callable[[CameraFrames, Rewards | None], Rewards]
 """As `Reward.of_frames`."""
 
-LEASE_S = 1800.0  # on a busy machine an eye is fitted for minutes between two calls
+LEASE_S = 1800.0  # on a busy machine an object encoder is fitted for minutes between two calls
 FRAMES_PER_REWARD_CALL = 32
 _CLOSE_TIMEOUT_S = 0.5
 _POLL_S = 0.1
@@ -161,7 +161,7 @@ class RemoteVectorEnv:
         return np.concatenate(self._results(self._rewards.finish())).reshape(-1, self.num_envs)
 
     def snapshots(self) -> tuple[bytes, ...]:
-        """Returns what restores the environments, one snapshot per sim service."""
+        """Returns snapshots of the environments, one per sim service."""
         return tuple(self._map(_Session.snapshot))
 
     def states(self) -> Sequence[Start]:

@@ -38,11 +38,11 @@ class Kind(Generic[C]):
         check: Before a run is queued, raises InvalidInput if it builds on what does not exist or does not fit. Given
             the stored policies and runs, and the names of earlier steps of the same pipeline. Calls no service.
         dump: Returns a configuration as JSON values that `parse` reads.
-        truth: Returns what a run is told that no learner may see, and what for, itself or by a policy that it builds
-            on, given its configuration as it was dumped, maybe by an earlier version, and the stored policies and runs;
-            empty where it is told nothing.
+        truth: Returns the privileged data that a run reads, itself or by a policy that it builds on, and their purpose;
+            empty for none. It gets the configuration as it was dumped, maybe by an earlier version, and the stored
+            policies and runs.
         remote: What another service does for it, which may begin before `run`; None if the run does all itself.
-        meaning: What a run does, in a sentence, for people who choose a kind.
+        meaning: Description of a run in a sentence, for people who choose a kind.
     """
 
     configs: Mapping[str, type]

@@ -108,8 +108,8 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
             earlier.append(step.name)
 
     def truth(config: Mapping[str, Any], store: PolicyStore) -> str:
-        told = [kinds[step["kind"]].truth(step["config"], store) for step in config["steps"] if step["kind"] in kinds]
-        return "; ".join(filter(None, dict.fromkeys(told)))
+        truths = [kinds[step["kind"]].truth(step["config"], store) for step in config["steps"] if step["kind"] in kinds]
+        return "; ".join(filter(None, dict.fromkeys(truths)))
 
     meaning = "Does runs of other kinds in order, as steps of one run."
     run = partial(_run, kinds)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from freerein.atomic_files import write_atomic
-from freerein.errors import InvalidInput, NotFound
+from freerein.errors import InvalidInput, NotFound, quoted
 from freerein.learning.actor_critic.policy_files import NAMES, StoredPolicy, load_policy
 from freerein.learning.model_files import read_card
 from freerein.model_store import CLONE_MODELS, ModelStore
@@ -117,7 +117,7 @@ class PolicyStore:
         if len(found) == 1:
             return found[0].parent
         raise InvalidInput(
-            "A run to build on must exist, or be an earlier step of the pipeline; there is none of that name.",
+            f"A run to build on must exist, or be an earlier step of the pipeline; got {quoted(name)}.",
             field=field,
             hint="`freerein jobs list` names the runs.",
         )

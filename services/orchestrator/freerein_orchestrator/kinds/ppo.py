@@ -20,8 +20,8 @@ from freerein.clients.tasks import find_task
 from freerein.config import parse
 from freerein.data.lookup import open_dataset
 from freerein.errors import InvalidInput
-from freerein.learning.actor_critic.eye import EYE
 from freerein.learning.actor_critic.networks import ActorCritic
+from freerein.learning.actor_critic.object_encoder import OBJECT_ENCODER
 from freerein.learning.actor_critic.policy_files import StoredPolicy, save_in_distribution, save_policy
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.model_files import choose_device
@@ -41,8 +41,8 @@ from freerein_orchestrator.rewards import REWARDS, make_rewards
 from freerein_orchestrator.rewards.entry import RewardSetting
 from freerein_orchestrator.rewards.learned import LearnedReward
 from freerein_orchestrator.rl.env_groups import ClosableVecEnv, EnvGroups
-from freerein_orchestrator.rl.goal_eye import ObjectEncoder, fit_eye, load_object_encoder
 from freerein_orchestrator.rl.initial_network import calibrate, network_spec
+from freerein_orchestrator.rl.object_encoder import RewardEncoder, fit_object_encoder, load_reward_encoder
 from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.state import PPOState, Prepare, from_checkpoint, init_state, trained_on
 from freerein_orchestrator.rl.trainer import Trainer
@@ -132,9 +132,9 @@ def session_request(config: PPORunConfig) -> CreateSessionRequest:
 class _Training:
     """The environments and rewards of a run.
 
-    The state's `inputs` are what a run is bound to when it starts: `goal_text`, `caption` (the goal as the eye's reward
-    model reads it; empty without an eye), `camera`, `cameras` and `reward_cameras`, `model` (name and version of the
-    reward model; empty without one), `eye` (those of the one whose encoder the policy sees with; empty without), the
+    The state's `inputs` bind a run when it starts: `goal_text`, `caption` (the goal as the object encoder's reward
+    model reads it; empty without one), `camera`, `cameras` and `reward_cameras`, `model` (name and version of the
+    reward model; empty without one), `eye` (those of the reward model of the object encoder; empty without), the
     number of `sims`, the initial policy's sha256 and supervision (`init`), and whether any of that is `privileged`.
     """
 
@@ -155,13 +155,15 @@ class _Training:
             open_dataset(self._context.data_dir, config.dataset)  # refuses one that is not there, before all else
         cameras, goal_text = ObservedCameras.find(task, config), config.goal_text or task.goal_text
         camera = cameras.policy[0]
-        eye, encoder = self._eye(goal_text, camera) if config.encoder == EYE else (None, None)
+        encoder_model, encoder = (
+            self._reward_encoder(goal_text, camera) if config.encoder == OBJECT_ENCODER else (None, None)
+        )
         spec = network_spec(
             config,
             observation=(camera.height, camera.width, camera.channels),
             action_size=task.action.size,
             action_choices=task.action.choices,
-            eye=encoder.spec if encoder else None,
+            object_encoder=encoder.spec if encoder else None,
             encoder=config.encoder,
             action_repeat=config.action_repeat,
             cameras=len(cameras.policy),
@@ -176,7 +178,7 @@ class _Training:
             "caption": caption,
             **cameras.to_inputs(),
             "model": asdict(self._entry.resolve_model(setting)),
-            "eye": {} if eye is None else asdict(eye),
+            "eye": {} if encoder_model is None else asdict(encoder_model),
             "sims": len(self.sims),
             "init": {name: policy.card.get(name) for name in ("supervision", "sha256")} if policy else {},
             "privileged": self._entry.privileged or (policy is not None and policy.card.get("privileged") is True),
@@ -221,21 +223,21 @@ class _Training:
             steps = _VISITED_ROLLOUTS * config.num_steps
             return visited_frames(state.network, envs, generator, num_steps=steps)
 
-    def _eye(self, goal_text: str, camera: Camera) -> tuple[ModelRef, ObjectEncoder]:
-        """Returns the encoder that the policy's eye has, and the reward model that it is of."""
+    def _reward_encoder(self, goal_text: str, camera: Camera) -> tuple[ModelRef, RewardEncoder]:
+        """Returns the reward model whose image encoder the policy's object encoder has, and that encoder."""
         name = self._config.reward_model if self._entry.encodes_objects else ""
         answer = LearnedReward(self._context.client("reward"), goal_text, ModelRef(name)).resolve((camera,))
         folder = self._context.reward_models.folder(answer.model)
-        return answer.model, load_object_encoder(folder, goal_caption=answer.texts[0], camera=camera)
+        return answer.model, load_reward_encoder(folder, goal_caption=answer.texts[0], camera=camera)
 
-    def _prepare(self, encoder: ObjectEncoder | None) -> Prepare:
+    def _prepare(self, encoder: RewardEncoder | None) -> Prepare:
         if encoder is None:
             return calibrate
         config = self._config
 
         def prepare(network: ActorCritic, envs: VecEnv, generator: torch.Generator) -> None:
             self._context.log_line("Before the first iteration, the encoder of the policy's own body is fitted.")
-            fit_eye(
+            fit_object_encoder(
                 network,
                 envs,
                 generator,

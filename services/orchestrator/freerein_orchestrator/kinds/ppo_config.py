@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput, must_be
-from freerein.learning.actor_critic.eye import EYE
+from freerein.learning.actor_critic.object_encoder import OBJECT_ENCODER
 from freerein.learning.encoders import ENCODERS
 from freerein.types.common import check_name
 from freerein_orchestrator.rewards import REWARDS
@@ -36,9 +36,9 @@ class PPORunConfig(PPOConfig):
         dataset: Name of the dataset whose trajectories end in success, for a reward that sees such examples.
         reward_model: Name of the reward model; empty for the service's default, for `base` and `rule` `grounding`. The
             version that is active when the run starts is used to its end.
-        encoder: `goal_eye`, a frozen eye for the two objects of the goal and the policy's own body, or an image encoder
-            that is trained with the policy, such as `spatial`, or `convolutional` for a camera that moves. The eye has
-            the encoder of `reward_model`; for `base` and `rule`, that of the service's default reward model.
+        encoder: `goal_eye`, a frozen object encoder for the two objects of the goal and the policy's own body, or an
+            image encoder trained with the policy, such as `spatial`, or `convolutional` for a camera that moves.
+            The object encoder is that of `reward_model`; for `base` and `rule`, of the service's default reward model.
         conditions: The task's conditions that it is trained under, such as a curriculum of starts.
         action_repeat: Timesteps that each action is held for, or until the episode ends, in training and after it.
         practice_share: Share of the environments that begin a rollout in a state that an earlier episode of the
@@ -53,7 +53,8 @@ class PPORunConfig(PPOConfig):
 
     Raises:
         InvalidInput: Both `init_from` and `resume_from` are given, or the reward needs another encoder, or a dataset,
-            or takes no cameras of its own, or cameras are named twice, or the eye would see more than one RGB frame.
+            or takes no cameras of its own, or cameras are named twice, or the object encoder would see more than one
+            RGB frame.
     """
 
     task: str
@@ -68,7 +69,7 @@ class PPORunConfig(PPOConfig):
     reward: str = one_of(REWARDS, "learned")
     dataset: str = ""
     reward_model: str = ""
-    encoder: str = one_of((EYE, *ENCODERS), EYE)
+    encoder: str = one_of((OBJECT_ENCODER, *ENCODERS), OBJECT_ENCODER)
     conditions: tuple[str, ...] = ()
     action_repeat: int = bounded(2, least=1, most=16)
     episode_steps: int = bounded(50, least=0, most=10_000)
@@ -85,12 +86,12 @@ class PPORunConfig(PPOConfig):
                 hint="`resume_from` goes on with a training; `init_from` begins one with its weights alone.",
             )
         entry = REWARDS[self.reward]
-        if entry.needs_eye not in (None, self.encoder == EYE):
-            needed = (EYE,) if entry.needs_eye else tuple(ENCODERS)
+        if entry.needs_object_encoder not in (None, self.encoder == OBJECT_ENCODER):
+            needed = (OBJECT_ENCODER,) if entry.needs_object_encoder else tuple(ENCODERS)
             raise InvalidInput(
                 f"The reward `{self.reward}` needs the encoder {' or '.join(needed)}; got `{self.encoder}`.",
                 field="config.encoder",
-                hint=f"--set encoder={'spatial' if 'spatial' in needed else EYE}",
+                hint=f"--set encoder={'spatial' if 'spatial' in needed else OBJECT_ENCODER}",
             )
         self._check_cameras(entry)
         if bool(self.dataset) != ("success_examples" in entry.sees):
@@ -119,9 +120,9 @@ class PPORunConfig(PPOConfig):
                 field="config.reward_cameras",
                 hint="Leave it out.",
             )
-        if self.encoder == EYE and (len(names) > 1 or self.frame_stack > 1 or self.gray):
+        if self.encoder == OBJECT_ENCODER and (len(names) > 1 or self.frame_stack > 1 or self.gray):
             raise InvalidInput(
-                f"A goal eye sees one RGB frame of one camera; got {self.frame_stack} of {len(names)}"
+                f"An object encoder sees one RGB frame of one camera; got {self.frame_stack} of {len(names)}"
                 f"{', gray' if self.gray else ''}.",
                 field="config.encoder",
                 hint="--set encoder=spatial",

@@ -29,6 +29,6 @@ REWARDS: Mapping[str, RewardEntry] = {
 
 
 def make_rewards(entry: RewardEntry, setting: RewardSetting, network: ActorCritic) -> tuple[Reward, ...]:
-    """Returns the untrained reward of a training, and what is added to it: shaping, where the policy has an eye."""
+    """Returns the untrained reward of a training; then shaping, where the policy has an object encoder."""
     added = [] if network.eye is None else [SHAPING]
     return tuple(each.make(setting, network) for each in dict.fromkeys([entry, *added]))

@@ -1,4 +1,4 @@
-"""How near an object is to where a goal has it beside another, as the eye of a policy sees both.
+"""Nearness of an object to its goal position beside another, from the keypoints of both.
 
 Objects do not pass through each other: the way to the other side leads over the top.
 """
@@ -14,7 +14,7 @@ _REACH = 6.0
 """Length of the way, in object widths, from which an object is no nearer than from any other."""
 
 _RADIUS = 1.0
-"""Of what the way leads around: an object and half of the one that is carried."""
+"""Radius of the obstacle on the way: an object and half of the carried one."""
 
 _PLACES: Mapping[SpatialRelation, tuple[float, float]] = {
     SpatialRelation.LEFT_OF: (-1.45, 0.0),
@@ -25,7 +25,7 @@ _PLACES: Mapping[SpatialRelation, tuple[float, float]] = {
 
 
 def goal_place(caption: str) -> tuple[float, float] | None:
-    """Returns where a goal has its first object, in object widths to the right and up of the second.
+    """Returns the goal position of the first object, in object widths to the right and up of the second.
 
     None for a relation that a thing is not put into, such as `apart from`.
     """
@@ -34,11 +34,11 @@ def goal_place(caption: str) -> tuple[float, float] | None:
 
 
 def nearness(offset: Tensor, place: tuple[float, float]) -> Tensor:
-    """Returns how near the first object is to its place, float32 (...), in [0, 6] widths of way.
+    """Returns the nearness of the first object to its goal position, float32 (...), in [0, 6] widths of way.
 
     Args:
         offset: Of the first object from the second, in object widths to the right and up, float32 (..., 2).
-        place: Where the goal has it.
+        place: Its goal position.
     """
     near: Tensor = (_REACH - way_over(offset, torch.tensor(place))).clamp(min=0)
     return near

@@ -63,5 +63,5 @@ CURIOSITY = RewardEntry(
     ),
     "none",
     frozenset({"frames", "actions"}),
-    needs_eye=False,
+    needs_object_encoder=False,
 )

@@ -21,7 +21,7 @@ class RewardSetting:
     Attributes:
         config: Hyperparameters of the training.
         goal_text: The goal in words.
-        caption: The goal as the reward model of the policy's eye reads it; empty without an eye.
+        caption: The goal as the reward model of the policy's object encoder reads it; empty without an object encoder.
         cameras: The cameras of the frames, and their sizes.
         model: The reward model; without a version until the training begins.
         service: Client of the reward service.
@@ -45,20 +45,20 @@ class RewardEntry:
 
     Attributes:
         make: Returns the untrained reward of a training, given the policy's network.
-        supervision: What it was told and by whom, for the cards of policies.
-        sees: What it is computed from.
+        supervision: Its supervision, for the cards of policies.
+        sees: Its inputs.
         privileged: Whether it knows what no learner may see. Only then is it given the true rewards that it sees.
-        needs_eye: Whether the policy must see by an eye, or must not; None for either.
+        needs_object_encoder: Whether the policy must see by an object encoder, or must not; None for either.
         own_cameras: Whether the frames that it sees may be of other cameras than the policy's.
         resolve_model: Returns the version of the reward model that it is bound to; without a name where it needs none.
-        encodes_objects: Whether an eye may have the encoder of its reward model.
+        encodes_objects: Whether an object encoder may have the encoder of its reward model.
     """
 
     make: Callable[[RewardSetting, ActorCritic], Reward]
     supervision: str
     sees: frozenset[Sight]
     privileged: bool = False
-    needs_eye: bool | None = None
+    needs_object_encoder: bool | None = None
     own_cameras: bool = False
     resolve_model: Callable[[RewardSetting], ModelRef] = lambda _: ModelRef()
     encodes_objects: bool = True

@@ -25,7 +25,7 @@ class LearnedReward(Reward):
 
     Attributes:
         service: The service's client.
-        goal_text: What the frames should show.
+        goal_text: The goal, as a text.
         model: Which model; with a version, so that it stays the same.
         mode: `binary`, 1 where the goal text beats its rival captions, else 0; or `raw`, the similarity.
     """

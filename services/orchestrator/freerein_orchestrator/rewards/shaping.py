@@ -1,4 +1,4 @@
-"""Reward `shaping`: potential-based reward shaping (Ng et al. 1999), by places that an eye sees.
+"""Reward `shaping`: potential-based reward shaping (Ng et al. 1999), by keypoints of an object encoder.
 
 They tell how near the body is to the object that the goal moves, and how near that object is to its place.
 
@@ -41,12 +41,12 @@ class Shaping(Reward):
 def _make(setting: RewardSetting, network: ActorCritic) -> Shaping:
     if network.eye is None:
         raise InvalidInput("Shaping needs the encoder `goal_eye`.", field="config.encoder")
-    eye, config, place = network.eye, setting.config, goal_place(setting.caption)
+    encoder, config, place = network.eye, setting.config, goal_place(setting.caption)
 
     def potential(features: Tensor) -> Tensor:
-        value = config.approach_weight * eye.nearness(features)
+        value = config.approach_weight * encoder.nearness(features)
         if config.carry_weight and place is not None:
-            value = value + config.carry_weight * nearness(eye.offset(features), place)
+            value = value + config.carry_weight * nearness(encoder.offset(features), place)
         return value
 
     return Shaping(potential, config)
@@ -56,5 +56,5 @@ SHAPING = RewardEntry(
     _make,
     "goal text; the reward model whose encoder locates objects saw images, noun phrases and captions made from pixels",
     frozenset({"frames", "actions"}),
-    needs_eye=True,
+    needs_object_encoder=True,
 )

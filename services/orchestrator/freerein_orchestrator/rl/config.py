@@ -12,7 +12,7 @@ _LR_FALL = 0.8
 
 @dataclass(frozen=True)
 class Schedule:
-    """Where in its course a training is: learning rate and noise fall linearly, and keep their last values afterwards.
+    """Schedule of a training: learning rate and noise fall linearly, and keep their last values afterwards.
 
     Attributes:
         iterations: Iterations over which they fall.
@@ -61,10 +61,11 @@ class PPOConfig:
         init_log_std: Initial log standard deviation of continuous actions.
         final_log_std: The last iteration's, which falls to it linearly; None for one that is learned.
         approach_weight: Weight of potential-based shaping by how near the body is to the goal's first object, in object
-            widths; unused without an eye.
+            widths; unused without an object encoder.
         carry_weight: The same by how near the goal's first object is to where the goal has it, along a way over the top
             of the second.
-        explorations: Short sequences of random actions in each environment that an eye is fitted to; unused without.
+        explorations: Short sequences of random actions in each environment that an object encoder is fitted to; unused
+            without one.
         augmentation: Strength of the augmentation of their frames, by light and things that come and go; 0 for none.
         seed: Seed of the learner; environments have their own.
         threads: Torch threads on the CPU.

@@ -63,7 +63,7 @@ class EnvGroups(Generic[E_co]):
         return np.concatenate([group.rewards() for group in self.groups], axis=1)
 
     def snapshots(self) -> tuple[bytes, ...]:
-        """Returns what restores the environments, group after group."""
+        """Returns snapshots of the environments, group after group."""
         return tuple(snapshot for group in self.groups for snapshot in group.snapshots())
 
     def close(self) -> None:

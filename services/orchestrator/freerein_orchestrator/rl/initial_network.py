@@ -5,8 +5,8 @@ from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning import weights
-from freerein.learning.actor_critic.eye import EyeSpec
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
+from freerein.learning.actor_critic.object_encoder import ObjectEncoderSpec
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.rollout import first_observations, next_observations
 from freerein_orchestrator.rl.vec_env import VecEnv, env_actions
@@ -20,7 +20,7 @@ def network_spec(
     observation: tuple[int, ...],
     action_size: int = 1,
     action_choices: int = 0,
-    eye: EyeSpec | None = None,
+    object_encoder: ObjectEncoderSpec | None = None,
     encoder: str = "spatial",
     action_repeat: int = 1,
     cameras: int = 1,
@@ -34,8 +34,8 @@ def network_spec(
         observation: Shape of a camera's frame, (H, W, C), or of a vector, (D,).
         action_size: Numbers per action.
         action_choices: Number of discrete actions, 0 if continuous.
-        eye: The frozen eye that sees the frames, if any.
-        encoder: The image encoder that sees them without an eye.
+        object_encoder: The frozen one that sees the frames, if any.
+        encoder: The image encoder that sees them without an object encoder.
         action_repeat: Timesteps that each action is held for.
         cameras: Number of cameras.
         frame_stack: The last frames of each camera that are one observation.
@@ -60,8 +60,8 @@ def network_spec(
         recurrent=config.recurrent,
         init_log_std=config.init_log_std,
         layer_norm=config.layer_norm,
-        eye=eye,
-        encoder="spatial" if eye else encoder,
+        eye=object_encoder,
+        encoder="spatial" if object_encoder else encoder,
         action_repeat=action_repeat,
         cameras=cameras,
         frame_stack=frame_stack,

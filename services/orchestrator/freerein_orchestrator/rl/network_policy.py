@@ -63,7 +63,7 @@ class _Memory:
     Attributes:
         actions: The present one, float32 (N, A) or int64 (N, 1); 0 before the first.
         recurrent_state: float32 (N, recurrent_size).
-        earlier_frames: What the next observation stacks, uint8 (N, *earlier_shape).
+        earlier_frames: Frames that the next observation stacks, uint8 (N, *earlier_shape).
         held: Timesteps that it has been held for; 0 where a new one is due. int64 (N,).
     """
 

@@ -74,7 +74,7 @@ class CollectorState:
         episode_starts: Whether an episode starts with them, bool (N,).
         recurrent_state: float32 (N, recurrent_size).
         generator: State of the generator that samples actions, uint8.
-        env_snapshots: What restores the environments.
+        env_snapshots: Snapshots of the environments.
     """
 
     observations: Tensor
@@ -195,7 +195,7 @@ def next_observations(
 def _row(
     network: ActorCritic, outputs: ActorCriticOutput, actions: Tensor, step: VecStep, final: Tensor
 ) -> dict[str, Tensor]:
-    """Returns what a rollout keeps of a step besides its observations, by attribute of `RolloutBuffer`.
+    """Returns a step's entries of the rollout buffer besides observations, by attribute of `RolloutBuffer`.
 
     Args:
         network: The policy.

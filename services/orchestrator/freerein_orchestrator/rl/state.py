@@ -20,8 +20,8 @@ from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState, tensors_under
 from freerein_orchestrator.rl.config import PPOConfig, Schedule
 from freerein_orchestrator.rl.episode_stats import EpisodeStats
-from freerein_orchestrator.rl.goal_eye import explored_steps
 from freerein_orchestrator.rl.initial_network import calibrate, init_network
+from freerein_orchestrator.rl.object_encoder import explored_steps
 from freerein_orchestrator.rl.return_normaliser import ReturnNormaliser
 from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.rollout import CollectorState
@@ -50,9 +50,9 @@ class PPOState:
         collector: Where the next rollout starts.
         episodes: Statistics of the episodes under way.
         normaliser: Scales rewards; None without normalisation.
-        rewards: What it is rewarded by; changed in place. Returns of episodes are of the first, the others are added.
+        rewards: Its reward functions; changed in place. Returns of episodes are of the first, the others are added.
         schedule: Where it is in the course of its learning rate and noise.
-        inputs: What else the training was started with and must be resumed with.
+        inputs: Other inputs of the training, which must be the same when it is resumed.
         recorded: Trajectories recorded so far.
         metrics: Those of the last iteration.
     """
@@ -104,7 +104,7 @@ def init_state(
         device: Where the network is trained.
         prepare: Prepares the new network: by default, calibrates its image encoder.
         make_rewards: Returns the rewards.
-        inputs: What else the training must be resumed with.
+        inputs: Other inputs of the training, which must be the same.
 
     Raises:
         InvalidInput: The environments' number or observations are not the configuration's.

@@ -59,7 +59,7 @@ class VecEnv(Protocol):
         """Returns the rewards of the T steps since the last call, float32 (T, N)."""
 
     def snapshots(self) -> tuple[bytes, ...]:
-        """Returns what restores the environments' present state; empty where that is impossible."""
+        """Returns snapshots of the environments; empty where that is impossible."""
 
 
 def join_cameras(frames: CameraFrames, cameras: Sequence[str]) -> Frames:
@@ -86,8 +86,11 @@ def observation_tensor(observations: Observations, spec: ActorCriticSpec, num_en
             f"Observations must be {dtype} {shape}; got {observations.dtype} {observations.shape}.",
             hint="Make the network for the frames that the environments render.",
         )
-    if spec.vector_size and not np.isfinite(observations).all():
-        raise InvalidInput("Observations must be finite; got some that are not.", hint="The simulation diverged.")
+    if spec.vector_size and (wrong := int(np.sum(~np.isfinite(observations)))):
+        raise InvalidInput(
+            f"Observations must be finite; {wrong} of {observations.size} numbers are not.",
+            hint="The simulation diverged.",
+        )
     return torch.from_numpy(observations.copy())
 
 

@@ -31,7 +31,7 @@ def database_error(error: Exception) -> ServiceError:
 def unreachable() -> Unavailable:
     """Returns the error of a database that does not answer."""
     return Unavailable(
-        "The database of the runs must be reachable; it is not, or refuses the login.",
+        "The database of the runs must be reachable; it does not answer, or refuses the login.",
         hint="Start it, create the database, or set FREEREIN_DATABASE_URL.",
         retry_after_s=1.0,
     )

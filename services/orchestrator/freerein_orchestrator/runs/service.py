@@ -68,7 +68,7 @@ class RunService:
         queue: The runs in the database.
         resolve: Returns the resolved request for a kind and a partial configuration; raises InvalidInput.
         health: Ends the streams of `watch_run` on drain.
-        truth: Returns what a run of a kind and configuration is told that no learner may see; empty for nothing.
+        truth: Returns the privileged data that a run of a kind and configuration reads; empty for none.
         check_unused: Raises FailedPrecondition where a run, by its id, must not be deleted, for another builds on it.
     """
 

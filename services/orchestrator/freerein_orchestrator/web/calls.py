@@ -1,4 +1,4 @@
-"""Which calls of other services are passed on to pages: a list of names, so that nothing else gets through."""
+"""Calls of other services that are passed on to pages: a list of names, so that nothing else gets through."""
 
 from collections.abc import Mapping, Sequence
 

@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route
 
-from freerein.errors import NotFound
+from freerein.errors import NotFound, quoted
 
 FOLDER = Path(__file__).parents[1] / "page"
 ASSETS = "/web/"
@@ -55,7 +55,7 @@ def page_routes(folder: Path = FOLDER) -> list[BaseRoute]:
         media_type = _MEDIA_TYPES.get(path.suffix)
         content = await asyncio.to_thread(_read, path) if media_type and _NAME.fullmatch(path.name) else None
         if content is None:
-            raise NotFound("The file must be one of the page; there is none of that name.", hint="Reload the page.")
+            raise NotFound(f"The file must be one of the page; got {quoted(path.name)}.", hint="Reload the page.")
         headers = {**_HEADERS, "cache-control": "public, max-age=31536000, immutable"}
         return Response(content, headers=headers, media_type=media_type)
 

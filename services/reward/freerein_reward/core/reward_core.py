@@ -137,7 +137,7 @@ def judge(
 
 
 def _read(text: str, grammar: Grammar, *, field: str) -> GoalText:
-    """Returns what a text says; raises InvalidInput for one that the model cannot be asked."""
+    """Returns the reading of a text; raises InvalidInput for one that the model cannot be asked."""
     said = grammar.read(text)
     if said.problem:
         raise InvalidInput(

@@ -114,7 +114,8 @@ class _Session:
         frame = request.frame
         if frame is None or request.hello is not None:
             raise FailedPrecondition(
-                "After its Hello, the messages of a stream must hold a frame, and nothing else; one does not.",
+                "After its Hello, the messages of a stream must hold a frame, and nothing else; got "
+                f"{'another Hello' if request.hello is not None else 'an empty message'}.",
                 field="frame",
                 hint="Open another stream for another goal text.",
             )

@@ -15,7 +15,7 @@ from freerein_reward.model.imported_grounding import LAYOUTS as LAYOUTS
 from freerein_reward.model.imported_grounding import Calibration as Calibration
 from freerein_reward.model.imported_grounding import ImportedGrounding as ImportedGrounding
 from freerein_reward.model.known_phrases import KNOWN as KNOWN
-from freerein_reward.model.known_phrases import NONSENSE as NONSENSE
+from freerein_reward.model.known_phrases import NULL_TEXTS as NULL_TEXTS
 from freerein_reward.model.known_phrases import REFERENCES as REFERENCES
 from freerein_reward.model.known_phrases import KnownPhrases as KnownPhrases
 from freerein_reward.model.loading import GROUNDING as GROUNDING

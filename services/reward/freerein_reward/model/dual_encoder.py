@@ -49,7 +49,7 @@ class DualEncoder(nn.Module):
         return self.in_distribution.distance(self.statistics(views))
 
     def statistics(self, views: Tensor) -> Tensor:
-        """Returns what the in-distribution score sees, float32 (N, D), of views uint8 (N, V, H, W, 3)."""
+        """Returns the in-distribution score's inputs, float32 (N, D), of views uint8 (N, V, H, W, 3)."""
         by_camera = {str(number): view for number, view in enumerate(views.unbind(dim=1))}
         return image_statistics(by_camera, colours=self.spec.scores_colours)
 

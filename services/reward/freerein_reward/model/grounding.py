@@ -23,7 +23,7 @@ from freerein.goal_text import Grammar, words
 from freerein_reward.model.dual_encoder import DualEncoder
 from freerein_reward.model.dual_encoder_model import DualEncoderModel
 from freerein_reward.model.known_phrases import KNOWN, KnownPhrases
-from freerein_reward.model.vision_language import PLACES, BuiltIn, VisionLanguageModel, heat_maps
+from freerein_reward.model.vision_language import KEYPOINTS, BuiltIn, VisionLanguageModel, heat_maps
 
 _IMAGES_AT_ONCE = 64
 _STEEPNESS = 5.0
@@ -69,7 +69,7 @@ class PhraseLocator(ABC):
     Attributes:
         grammar: Knows the words that the model was trained on.
         vision_language: The model.
-        place: How heat becomes a place, of `PLACES`.
+        place: How heat becomes a keypoint, of `KEYPOINTS`.
     """
 
     grammar: Grammar
@@ -136,16 +136,16 @@ class PhraseLocator(ABC):
         for start in range(0, len(images), _IMAGES_AT_ONCE):
             part = torch.tensor(images[start : start + _IMAGES_AT_ONCE], device=directions.device)  # may be read-only
             parts.append(self._locate(heat_maps(self.vision_language, part, directions)))
-        heatmaps, places, peaks = (torch.cat(each).cpu() for each in zip(*parts, strict=True))
-        x, y = places.double().unbind(dim=2)
+        heatmaps, keypoints, peaks = (torch.cat(each).cpu() for each in zip(*parts, strict=True))
+        x, y = keypoints.double().unbind(dim=2)
         known = np.ones(len(phrases), np.float32)
         return PhraseLocations(heatmaps.numpy(), x.numpy(), y.numpy(), peaks.double().numpy(), known)
 
     def _locate(self, heat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns heatmaps (N, P, h, w), places (N, P, 2) and peaks (N, P) of heat (N, P, h, w)."""
+        """Returns heatmaps (N, P, h, w), keypoints (N, P, 2) and peaks (N, P) of heat (N, P, h, w)."""
         own = heat.where(heat == heat.amax(dim=1, keepdim=True), 0.0)  # phrases compete
         peaks = own.amax(dim=(2, 3)) / self.presence_heat
-        return heat / heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-6), PLACES[self.place](own), peaks
+        return heat / heat.amax(dim=(2, 3), keepdim=True).clamp(min=1e-6), KEYPOINTS[self.place](own), peaks
 
 
 class GradCamModel(PhraseLocator, DualEncoderModel):

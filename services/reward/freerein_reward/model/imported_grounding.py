@@ -22,7 +22,7 @@ from freerein.learning.model_files import choose_device
 from freerein_reward.model.dual_encoder_model import ImageEmbeddings
 from freerein_reward.model.grounding import PhraseLocator
 from freerein_reward.model.known_phrases import KnownPhrases
-from freerein_reward.model.vision_language import PLACES, VisionLanguageModel
+from freerein_reward.model.vision_language import KEYPOINTS, VisionLanguageModel
 from freerein_reward.model.vision_language.openai_clip import load_openai_clip
 from freerein_reward.model.vision_language.transformers_models import load_transformers_model
 
@@ -55,7 +55,7 @@ class OpenGrammar(Grammar):
         super().__init__((), ())
 
     def read(self, text: str) -> GoalText:
-        """Returns what a text says; no word is unknown."""
+        """Returns the reading of a text; no word is unknown."""
         return replace(super().read(text), unknown=())
 
     def unknown_words(self, _phrases: Any) -> Words:
@@ -133,7 +133,12 @@ def load_imported(folder: Path, card: Mapping[str, Any], device: str) -> Importe
     """
     layout, place = str(card.get("layout")), str(card.get("place"))
     heat, vocabulary = card.get("presence_heat"), card.get("vocabulary")
-    if layout not in LAYOUTS or place not in PLACES or not isinstance(heat, float) or not isinstance(vocabulary, list):
+    if (
+        layout not in LAYOUTS
+        or place not in KEYPOINTS
+        or not isinstance(heat, float)
+        or not isinstance(vocabulary, list)
+    ):
         raise _damaged("card.json", f"layout {layout}, place {place}")
     model = LAYOUTS[layout](folder, choose_device(device))
     try:

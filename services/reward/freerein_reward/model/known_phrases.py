@@ -1,8 +1,8 @@
 """Whether the grounding model knows what a phrase names.
 
-A phrase is tried on reference images of which it is known what they show: images that show what its words name should
-be more similar to it than others. A word without meaning, too, tells some things from others by chance. A phrase is
-known as far as it does better than such words do at what they happen to tell best.
+A phrase's AUROC is measured on labelled reference images: those that show what its words name should be more similar
+to it than others. Words without meaning separate some images by chance; their best AUROCs are the null distribution. A
+phrase's score is the quantile of its AUROC there.
 """
 
 from collections.abc import Sequence
@@ -13,22 +13,27 @@ from torch import Tensor, nn
 from freerein.goal_text import words
 
 KNOWN = 0.8
-"""Quantile of a phrase's AUROC among those of words without meaning, from which it counts as known."""
+"""Quantile of the null distribution from which a phrase counts as known."""
 
 REFERENCES = 2048
 """Reference images."""
 
-NONSENSE = 1000
-"""Texts without meaning."""
+NULL_TEXTS = 1000
+"""Texts without meaning, whose best AUROCs are the null distribution."""
 
 
 class KnownPhrases(nn.Module):
-    """Scores phrases against words without meaning; it is fitted, not trained. Until `fit` every score is 1.
+    """Scores phrases by a null distribution; it is fitted, not trained. Until `fit` every score is 1.
 
     Args:
         vocabulary: W words of the training texts.
         size: D, dimension of the embeddings.
         references: Reference images, N.
+
+    Attributes:
+        images: Embeddings of the reference images, float32 (N, D).
+        shown: Whether an image shows what a word names, bool (N, W).
+        nonsense: The null distribution, sorted AUROCs, float32 (`NULL_TEXTS`,); the name is that of stored models.
     """
 
     images: Tensor
@@ -40,25 +45,25 @@ class KnownPhrases(nn.Module):
         self._places = {word: place for place, word in enumerate(vocabulary)}
         self.register_buffer("images", torch.zeros(references, size))
         self.register_buffer("shown", torch.zeros(references, len(vocabulary), dtype=torch.bool))
-        self.register_buffer("nonsense", torch.zeros(NONSENSE))
+        self.register_buffer("nonsense", torch.zeros(NULL_TEXTS))
 
     @torch.no_grad()
-    def fit(self, images: Tensor, shown: Tensor, nonsense: Tensor) -> None:
-        """Sets what scores are relative to.
+    def fit(self, images: Tensor, shown: Tensor, null_texts: Tensor) -> None:
+        """Sets the reference images and the null distribution.
 
         Args:
             images: Embeddings of the reference images, float32 (N, D).
             shown: Whether an image shows what a word of the vocabulary names, bool (N, W); all False for a word that
                 names nothing.
-            nonsense: Embeddings of texts without meaning, float32 (`NONSENSE`, D).
+            null_texts: Embeddings of texts without meaning, float32 (`NULL_TEXTS`, D).
         """
         self.images.copy_(images)
         self.shown.copy_(shown)
-        self.nonsense.copy_(self.best_told(nonsense).sort().values)
+        self.nonsense.copy_(self.best_auroc(null_texts).sort().values)
 
     @torch.no_grad()
-    def best_told(self, texts: Tensor) -> Tensor:
-        """Returns how well each text, (K, D), tells what it tells best of what the vocabulary names: AUROC (K,)."""
+    def best_auroc(self, texts: Tensor) -> Tensor:
+        """Returns the best AUROC (K,) of each text, (K, D), over the words of the vocabulary."""
         naming = self.shown[:, self.shown.any(dim=0)]  # (N, names)
         return _aurocs(texts @ self.images.T, naming).amax(dim=1)
 
@@ -70,15 +75,15 @@ class KnownPhrases(nn.Module):
         """
         if not self.shown.any():
             return texts.new_ones(len(phrases))
-        told = [
-            self._told(phrase, similarities)
+        aurocs = [
+            self._auroc(phrase, similarities)
             for phrase, similarities in zip(phrases, texts @ self.images.T, strict=True)
         ]
-        return self.rank(torch.stack(told))
+        return self.rank(torch.stack(aurocs))
 
-    def rank(self, told: Tensor) -> Tensor:
-        """Returns the share of texts without meaning that tell less than each AUROC (K,): float32 (K,)."""
-        return torch.searchsorted(self.nonsense, told) / len(self.nonsense)
+    def rank(self, aurocs: Tensor) -> Tensor:
+        """Returns the quantile of each AUROC (K,) in the null distribution: float32 (K,)."""
+        return torch.searchsorted(self.nonsense, aurocs) / len(self.nonsense)
 
     def names(self) -> tuple[str, ...]:
         """Returns the words of the vocabulary that name something which a reference image shows."""
@@ -88,8 +93,8 @@ class KnownPhrases(nn.Module):
         """Returns whether a phrase has a word that names something which a reference image shows."""
         return not {*words(phrase)}.isdisjoint(self.names())
 
-    def _told(self, phrase: str, similarities: Tensor) -> Tensor:
-        """Returns how well similarities (N,) tell images that show what all words name from others: AUROC, a scalar."""
+    def _auroc(self, phrase: str, similarities: Tensor) -> Tensor:
+        """Returns the AUROC, a scalar, of similarities (N,) for images that show what all words of a phrase name."""
         naming = [place for word in words(phrase) if (place := self._places.get(word)) is not None]
         named = self.shown[:, [place for place in naming if self.shown[:, place].any()]]  # (N, names)
         is_shown = named.all(dim=1) if named.shape[1] else named.any(dim=1)

@@ -49,7 +49,7 @@ class ClipTextEncoder(nn.Module):
 
 
 class RelationHead(nn.Module):
-    """Which two phrases a text names, and the relation that it says: the counterpart of `RelationPool`.
+    """The two phrases and the relation that a text names: the counterpart of `RelationPool`.
 
     The embedding is the outer product of a distribution over the first phrase, one over the second, and a unit vector
     of the relation. Its product with an image's is the similarity of what is said and what is seen of that pair.

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freerein_reward.model import KNOWN, NONSENSE, Calibration, KnownPhrases, contrast_texts
+from freerein_reward.model import KNOWN, NULL_TEXTS, Calibration, KnownPhrases, contrast_texts
 from freerein_reward.model.vision_language import VisionLanguageModel, heat_maps
 from freerein_reward.training import synthetic_objects
 from freerein_reward.training.evaluation import threshold_of_presence
@@ -43,7 +43,7 @@ def calibrate(model: VisionLanguageModel, *, images: int, seed: int) -> tuple[Ca
     score = KnownPhrases(synthetic_objects.VOCABULARY, model.dimension, references=images).to(model.device)
     named = [synthetic_objects.names(each) for each in seen.objects]
     shown = torch.tensor([[word in each for word in synthetic_objects.VOCABULARY] for each in named])
-    score.fit(seen.embeddings, shown.to(model.device), _embedded(model, nonsense_texts(NONSENSE, generator=generator)))
+    score.fit(seen.embeddings, shown.to(model.device), _embedded(model, null_texts(NULL_TEXTS, generator=generator)))
     peaks, is_shown = _peaks(model, seen, np.random.default_rng(seed))
     heat = threshold_of_presence(peaks, is_shown)
     found = peaks > heat
@@ -57,7 +57,7 @@ def calibrate(model: VisionLanguageModel, *, images: int, seed: int) -> tuple[Ca
     }
 
 
-def nonsense_texts(count: int, *, generator: torch.Generator) -> list[str]:
+def null_texts(count: int, *, generator: torch.Generator) -> list[str]:
     """Returns distinct texts of one to three words without meaning: two or three syllables each."""
 
     def pick(letters: str) -> str:

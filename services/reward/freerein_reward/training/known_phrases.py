@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from freerein.metrics import auroc
-from freerein_reward.model import KNOWN, NONSENSE, REFERENCES, DualEncoder, GradCamModel, KnownPhrases
+from freerein_reward.model import KNOWN, NULL_TEXTS, REFERENCES, DualEncoder, GradCamModel, KnownPhrases
 from freerein_reward.training import synthetic_objects
 
 if TYPE_CHECKING:
@@ -36,26 +36,26 @@ def calibrate_known_phrases(network: DualEncoder, learner: "GroundingLearner") -
     images = torch.from_numpy(np.stack([image for image, _ in rendered])[:, None]).to(network.device)
     embeddings = torch.cat([network.embed_images(part) for part in torch.split(images, _IMAGES_AT_ONCE)])
     generator = torch.Generator().manual_seed(config.seed)
-    score_of(network).fit(embeddings, shown.to(network.device), nonsense_texts(network, generator=generator))
+    score_of(network).fit(embeddings, shown.to(network.device), null_texts(network, generator=generator))
 
 
 def evaluate_known_phrases(network: DualEncoder, learner: "GroundingLearner") -> dict[str, float]:
-    """Returns how well the score tells noun phrases that name a colour from words without meaning.
+    """Returns the AUROC of the score for noun phrases that name a colour among words without meaning, and rates.
 
-    No phrase was used in the calibration, and the words without meaning are others. `known_auroc` is that of the score
-    alone: words are not looked up in the vocabulary, which would tell all of them.
+    No phrase was used in the calibration, and the words without meaning are others. `known_auroc` is of the score
+    alone: looking words up in the vocabulary would separate all of them.
     """
     generator = torch.Generator().manual_seed(learner.config.seed + 1)
     score, model = score_of(network), GradCamModel(network)
-    nonsense = score.rank(score.best_told(nonsense_texts(network, generator=generator))).cpu().numpy()
+    null = score.rank(score.best_auroc(null_texts(network, generator=generator))).cpu().numpy()
     phrases = _noun_phrases()
     coloured, shaped = (model.known(each) for each in phrases)
-    scores, labels = np.concatenate([coloured, nonsense]), np.arange(len(coloured) + len(nonsense)) < len(coloured)
+    scores, labels = np.concatenate([coloured, null]), np.arange(len(coloured) + len(null)) < len(coloured)
     return {
         "known_auroc": auroc(scores, labels),
         "known_colours": float((coloured >= KNOWN).mean()),
         "known_shapes": float((shaped >= KNOWN).mean()),
-        "known_nonsense": float((nonsense >= KNOWN).mean()),
+        "known_nonsense": float((null >= KNOWN).mean()),
     }
 
 
@@ -67,15 +67,15 @@ def score_of(network: DualEncoder) -> KnownPhrases:
 
 
 @torch.no_grad()
-def nonsense_texts(network: DualEncoder, *, generator: torch.Generator) -> Tensor:
-    """Returns the embeddings of texts of words without meaning, one to three, float32 (`NONSENSE`, D).
+def null_texts(network: DualEncoder, *, generator: torch.Generator) -> Tensor:
+    """Returns the embeddings of texts of words without meaning, one to three, float32 (`NULL_TEXTS`, D).
 
     Such a word is an embedding that is drawn like those of the vocabulary.
     """
     vocabulary, weight = network.spec.vocabulary, network.text.token_embedding.weight
     learned = weight[-len(vocabulary) :].cpu()  # (W, C)
     drawn, embeddings = deepcopy(network.text), []
-    for _ in range(NONSENSE // _TEXTS_AT_ONCE):
+    for _ in range(NULL_TEXTS // _TEXTS_AT_ONCE):
         imagined = torch.randn(learned.shape, generator=generator) * learned.std(dim=0) + learned.mean(dim=0)
         drawn.token_embedding.weight[-len(vocabulary) :] = imagined.to(weight.device)
         lengths = torch.randint(1, _LONGEST + 1, (_TEXTS_AT_ONCE,), generator=generator).tolist()

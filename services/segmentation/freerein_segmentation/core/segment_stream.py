@@ -114,7 +114,8 @@ class _Session:
             return _error(request.seq, self._check_seq(request.seq) or request.error)
         if request.timesteps is None or request.hello is not None:
             raise FailedPrecondition(
-                "After its Hello, the messages of a stream must hold timesteps, and nothing else; one does not.",
+                "After its Hello, the messages of a stream must hold timesteps, and nothing else; got "
+                f"{'another Hello' if request.hello is not None else 'an empty message'}.",
                 field="timesteps",
                 hint="Open another stream for another trajectory.",
             )

@@ -78,7 +78,7 @@ class StreamDecoder:
         return self._runs.push(self._smoother.push(prediction))
 
     def finish(self, prediction: Prediction) -> Finished:
-        """Returns what is left, with the last timesteps of the trajectory."""
+        """Returns the remaining labels, with the last timesteps of the trajectory."""
         first = self._runs.push(self._smoother.push(prediction))
         last = self._runs.push(self._smoother.rest(), is_last=True)
         return replace(first, timeline=first.timeline + last.timeline, segments=first.segments + last.segments)

@@ -1,4 +1,4 @@
-"""Which action a skill takes in a scene: a small network on features of the frame, for each skill."""
+"""Action model of skills: a small network on features of the frame, for each skill."""
 
 import math
 

@@ -128,7 +128,7 @@ class SegmentationNetwork(nn.Module):
         return torch.cat([seen, functional.relu(self.action(self.spec.scaled(actions)))], dim=1)  # (N, D)
 
     def statistics(self, frames: FrameTensors) -> Tensor:
-        """Returns what the in-distribution score sees, float32 (N, D), of frames uint8 (N, H, W, C) by camera."""
+        """Returns the in-distribution score's inputs, float32 (N, D), of frames uint8 (N, H, W, C) by camera."""
         return image_statistics(frames, colours=self.spec.scores_colours)
 
     def score(self, features: Tensor) -> Tensor:

@@ -1,8 +1,9 @@
 """An end of training without shares: each timestep shows some skill of the set, however long each of them lasts.
 
 Tag losses that pool over time are lowest where all tags have equal shares, which moves boundaries. Here a timestep is
-told only which skills it does not show, as with complementary labels (Katsura and Uchida, 2022, arXiv 2206.11011). That
-alone would allow any mixture of the tags, and skills that vanish; it follows a training by `lse_per_timestep`.
+given only the skills that it does not show, as with complementary labels (Katsura and Uchida, 2022, arXiv
+2206.11011). That alone would allow any mixture of the tags, and skills that vanish; it follows a training by
+`lse_per_timestep`.
 """
 
 from torch import Tensor

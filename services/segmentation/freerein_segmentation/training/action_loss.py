@@ -1,4 +1,4 @@
-"""How well skills explain actions: a criterion that compares labels of any origin without true ones.
+"""Error of actions given skills: a criterion that compares labels of any origin without true ones.
 
 Labels that follow what the robot does make its actions predictable from a frame and the skill; a boundary that is moved
 gives some timesteps the wrong skill. For each labelling the same network is trained from the same start in the same

@@ -1,4 +1,4 @@
-"""Whether a network decides between the tags of a trajectory, told without true labels."""
+"""Whether a network decides between the tags of a trajectory, measured without true labels."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class Confidence:
 
     Attributes:
         mean: Its mean; 1, as is `equal`, where no trajectory has two tags.
-        equal: What it were if all tags of a trajectory had equal shares at every timestep. A loss that wants equal
+        equal: Its value if all tags of a trajectory had equal shares at every timestep. A loss that wants equal
             shares over time is at its optimum then, and labels say nothing.
     """
 

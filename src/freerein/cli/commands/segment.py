@@ -24,7 +24,7 @@ from freerein.clients import SegmentationClient
 from freerein.data import Dataset, labels, read_actions, read_choices
 from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.data.lookup import choose_camera
-from freerein.errors import InvalidInput, NotFound, must_be
+from freerein.errors import InvalidInput, NotFound, must_be, quoted
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
 from freerein.video import frames_at_rate, open_video
@@ -133,7 +133,7 @@ def _segment_video(
     """Returns the labelled video, and some of its frames where they are to be drawn."""
     if not path.is_file():
         raise NotFound(
-            "The video must be an mp4 or mov file; there is none of that name.",
+            f"The video must be an mp4 or mov file; there is no file {quoted(str(path))}.",
             field="source",
             hint="Give its path, relative to the current folder.",
         )
@@ -155,7 +155,9 @@ def _read_actions(path: Path, skills: ListSkillsResponse) -> npt.NDArray[Any]:
     """Returns the actions of a CSV file, (T, A), in the model's dtype."""
     if not path.is_file():
         raise InvalidInput(
-            "The actions must be a CSV file; there is none of that name.", field="actions", hint="Name the file."
+            f"The actions must be a CSV file; there is no file {quoted(str(path))}.",
+            field="actions",
+            hint="Name the file.",
         )
     if skills.action_choices:
         return read_choices(path.read_bytes(), file=path.name, choices=skills.action_choices)

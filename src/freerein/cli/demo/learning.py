@@ -87,7 +87,7 @@ async def _returns(demo: Demo, name: str, run: str, **config: Any) -> Evaluation
 
 
 async def _show_episode(demo: Demo, run: str) -> None:
-    """Serves the policy of a run, and draws an episode in which it is told the sentence."""
+    """Serves the policy of a run, and draws an episode conditioned on the sentence."""
     name = f"{PREFIX}left"
     demo.reporter.command(f"freerein models publish {run} --name {name}")
     served = (await demo.clients.imitation.publish_policy(PublishPolicyRequest(run, name))).model

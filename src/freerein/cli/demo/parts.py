@@ -23,7 +23,7 @@ HELD_OUT_SEED = 1_000_000
 """Added to the seed for evaluations."""
 
 PREFIX = "demo-"
-"""Of datasets and models, which may be stored beside a user's own and those that come with freerein."""
+"""Prefix of names of datasets and models, which may be stored beside a user's own and those that come with freerein."""
 
 
 @dataclass(frozen=True)

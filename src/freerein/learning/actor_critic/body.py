@@ -61,8 +61,8 @@ class BodyEncoder(nn.Module):
         heat = self.conv3(functional.relu(self.conv2(functional.relu(self.conv1(pixels)))))  # (N, K, h, w)
         share = (_SHARPNESS * heat.flatten(start_dim=2)).softmax(dim=2).view_as(heat)
         rows, columns = (torch.linspace(-1, 1, cells, device=heat.device) for cells in heat.shape[2:])
-        places = torch.cat([share.sum(dim=2) @ columns, share.sum(dim=3) @ rows], dim=1)  # (N, 2 K)
-        found: Tensor = self.readout(places)
+        keypoints = torch.cat([share.sum(dim=2) @ columns, share.sum(dim=3) @ rows], dim=1)  # (N, 2 K)
+        found: Tensor = self.readout(keypoints)
         return found
 
 

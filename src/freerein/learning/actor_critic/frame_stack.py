@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 _LUMA = (299, 587, 114)
-"""Of ITU-R BT.601, in thousandths."""
+"""Weights of red, green and blue in ITU-R BT.601, in thousandths."""
 
 
 def stack_frames(frames: Tensor, earlier: Tensor, starts: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Actor and critic with a shared image encoder, or a frozen eye, and optionally a shared LSTM."""
+"""Actor and critic with a shared image encoder, or a frozen object encoder, and optionally a shared LSTM."""
 
 import math
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from torch.nn import functional
 from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.distributions import Categorical, Distribution, Gaussian
-from freerein.learning.actor_critic.eye import EyeSpec, GoalEye
 from freerein.learning.actor_critic.frame_stack import luma, stack_frames
+from freerein.learning.actor_critic.object_encoder import ObjectEncoder, ObjectEncoderSpec
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.encoders.encoder import Encoder
 
@@ -43,14 +43,14 @@ class ActorCriticSpec:
         recurrent: Whether there is an LSTM.
         init_log_std: Initial log standard deviation of continuous actions.
         layer_norm: Whether each hidden layer is normalised.
-        eye: The frozen eye that sees the frames; None for an image encoder that is trained.
+        eye: The frozen object encoder that sees the frames; None for an image encoder that is trained.
         action_repeat: Timesteps that each action is held for, by whoever acts with the policy.
-        encoder: Image encoder; unused for vectors and with an eye.
+        encoder: Image encoder; unused for vectors and with an object encoder.
 
     Raises:
-        InvalidInput: There are 2 channels, or a discrete action has more than one number, or an eye has not one RGB
-            frame of one camera and continuous actions, or vectors are to be stacked, or the frames of a stack do not
-            fit into a served policy's `state`.
+        InvalidInput: There are 2 channels, or a discrete action has more than one number, or an object encoder has not
+            one RGB frame of one camera and continuous actions, or vectors are to be stacked, or the frames of a stack
+            do not fit into a served policy's `state`.
     """
 
     action_size: int = bounded(1, least=1, most=256)
@@ -67,7 +67,7 @@ class ActorCriticSpec:
     recurrent: bool = False
     init_log_std: float = bounded(-0.5, least=-5.0, most=2.0)
     layer_norm: bool = False
-    eye: EyeSpec | None = None
+    eye: ObjectEncoderSpec | None = None
     action_repeat: int = bounded(1, least=1, most=16)
     encoder: str = one_of(ENCODERS, "spatial")
 
@@ -83,7 +83,8 @@ class ActorCriticSpec:
         sees_one_frame = (self.channels, self.cameras, self.frame_stack, self.gray) == (3, 1, 1, False)
         if self.eye is not None and (not sees_one_frame or self.vector_size or self.action_choices):
             raise InvalidInput(
-                "A goal eye needs one RGB frame of one camera and continuous actions; got others.",
+                "An object encoder needs one RGB frame of one camera and continuous actions; got "
+                f"{self.frame_stack} of {self.cameras}, {self.channels} channels and {self.action_choices} choices.",
                 field="config.encoder",
                 hint="Choose the encoder `spatial`.",
             )
@@ -148,9 +149,10 @@ class ActorCriticOutput:
 
 
 class ActorCritic(nn.Module):
-    """Image encoder or eye, optional LSTM, and an actor and a critic of two hidden layers each.
+    """Image encoder or object encoder, optional LSTM, and an actor and a critic of two hidden layers each.
 
-    With an eye, observations are vectors: the features of a frame, and the last action, since bodies have momentum.
+    With an object encoder, observations are vectors: the features of a frame, and the last action, since bodies have
+    momentum.
 
     Args:
         spec: Observations, actions and sizes.
@@ -159,7 +161,7 @@ class ActorCritic(nn.Module):
     def __init__(self, spec: ActorCriticSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.eye = None if spec.eye is None else _eye(spec, spec.eye)
+        self.eye = None if spec.eye is None else _object_encoder(spec, spec.eye)
         self.image = None if spec.vector_size or spec.eye is not None else _image_encoder(spec)
         features = spec.vector_size or spec.feature_size
         if self.eye is not None:
@@ -187,8 +189,8 @@ class ActorCritic(nn.Module):
         """Returns observations of N environments as `forward` takes them, on the CPU.
 
         Args:
-            seen: What environments return, uint8 (N, H, W, C) or float32 (N, D).
-            last_actions: Executed before, float32 (N, A), 0 where an episode starts; not read without an eye.
+            seen: Observations of environments, uint8 (N, H, W, C) or float32 (N, D).
+            last_actions: Executed before, float32 (N, A), 0 where an episode starts; only read with an object encoder.
             earlier: Frames before it, from `earlier_frames`; not read where an episode starts.
             starts: Whether an episode starts with it, bool (N,).
         """
@@ -199,7 +201,7 @@ class ActorCritic(nn.Module):
         return stack_frames(luma(seen) if is_coloured else seen, earlier, starts)
 
     def earlier_frames(self, observations: Tensor) -> Tensor:
-        """Returns what the next observation stacks of the last one, (N, *earlier_shape), given those of `observe`."""
+        """Returns the frames that the next observation stacks, (N, *earlier_shape), given those of `observe`."""
         if self.spec.frame_stack == 1:
             shape = (observations.shape[0], *self.spec.earlier_shape)
             return torch.zeros(shape, dtype=torch.uint8, device=observations.device)
@@ -230,8 +232,8 @@ def _image_encoder(spec: ActorCriticSpec) -> nn.Module:
     return ENCODERS[spec.encoder](height=height, width=width, channels=channels, features=spec.feature_size)
 
 
-def _eye(spec: ActorCriticSpec, eye: EyeSpec) -> GoalEye:
-    return GoalEye(eye, height=spec.height, width=spec.width, action_size=spec.action_size)
+def _object_encoder(spec: ActorCriticSpec, objects: ObjectEncoderSpec) -> ObjectEncoder:
+    return ObjectEncoder(objects, height=spec.height, width=spec.width, action_size=spec.action_size)
 
 
 def _run_lstm(lstm: nn.LSTM, features: Tensor, starts: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from freerein.atomic_files import write_atomic
-from freerein.errors import FailedPrecondition, InvalidInput
+from freerein.errors import FailedPrecondition, InvalidInput, quoted
 from freerein.learning import model_files, tensor_files, weights
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.checkpoints import JSON
@@ -66,9 +66,11 @@ def load_policy(folder: Path, *, device: str) -> StoredPolicy:
     """
     network = model_files.load_model(folder, ActorCriticSpec, ActorCritic, device=device, names=NAMES)
     card = model_files.read_card(folder, names=NAMES)
-    if card.get("kind") != KIND or card.get("sha256") != weights.sha256(network):
+    digest = weights.sha256(network)
+    if card.get("kind") != KIND or card.get("sha256") != digest:
         raise InvalidInput(
-            "A policy's card must be of kind ppo and hold the sha256 of its weights; it does not.",
+            f"A policy's card must have kind {KIND} and sha256 {digest}, of its weights; got "
+            f"{quoted(str(card.get('kind')))} and {quoted(str(card.get('sha256')))}.",
             hint="Run ppo again, or restore its folder from a copy.",
         )
     return StoredPolicy(network, card)
@@ -89,7 +91,8 @@ def load_in_distribution(folder: Path, *, cameras: Sequence[Camera]) -> InDistri
     path, score = folder / IN_DISTRIBUTION_FILE, InDistribution(*statistics_sizes(cameras))
     if not path.is_file():
         raise FailedPrecondition(
-            "The policy must have been stored with an in-distribution score; it has none.", hint=_MISSING
+            f"The policy must have been stored with an in-distribution score; it has no `{IN_DISTRIBUTION_FILE}`.",
+            hint=_MISSING,
         )
     try:
         score.load_state_dict(tensor_files.parse(path.read_bytes()))

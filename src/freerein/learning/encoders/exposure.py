@@ -7,14 +7,14 @@ _COMPARED = 16
 """Rows and columns of the pixels whose ratios are compared, about."""
 
 _LEAST = 0.05
-"""Of a ratio: what is darker than that cannot be brightened."""
+"""Least ratio: darker frames cannot be brightened."""
 
 
 class ExposureNormalisation(nn.Module):
     """Divides a frame by the median of its ratios to the mean image, of a camera that does not move.
 
     Most pixels show what does not move, whatever an object or an arm covers; so the median is that of the light. One
-    ratio for all channels leaves a frame its tint, by which turned hues are told from other colours.
+    ratio for all channels leaves a frame its tint, which distinguishes turned hues from other colours.
     """
 
     mean_image: Tensor

@@ -1,4 +1,4 @@
-"""Places of things in a frame, to a fraction of a pixel: image moments of learned heat maps."""
+"""Keypoints of things in a frame, to a fraction of a pixel: image moments of learned heat maps."""
 
 import math
 
@@ -11,7 +11,7 @@ from freerein.learning.encoders.mean_image import PatchStem
 _PATCHES = 32
 _CHANNELS = 16
 _MOMENTS = 5
-_GAIN = 4.0  # places are in [-1, 1], and a few hundredths matter
+_GAIN = 4.0  # keypoints are in [-1, 1], and a few hundredths matter
 _MASS_SCALE = 20.0  # heat per unit of mass
 _MOST_MASS = 5.0
 _SHRINKAGE = 0.5  # heat at which a mean is halfway between the frame's centre and where it is

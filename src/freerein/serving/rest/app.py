@@ -139,7 +139,7 @@ def _unary(method: Method, limits: Limits) -> _Endpoint:
 
 
 def _writer(request: Request, method: Method) -> Callable[[Any], Awaitable[Response]]:
-    """Returns what writes a reply in the form that a request asks for."""
+    """Returns the writer of replies in the form that a request asks for."""
 
     def json_of(response: Any) -> list[bytes]:
         return json_parts(response, as_lists=bool(form))

@@ -170,9 +170,10 @@ async def _read_multipart(request: Request, cls: type[T]) -> T:
             form = await parser.parse()
     except ClientDisconnect:
         raise _disconnected() from None
-    except (MultiPartException, UnicodeError):
+    except (MultiPartException, UnicodeError) as error:
+        found = error.message.rstrip(".") if isinstance(error, MultiPartException) else "a name or text is not UTF-8"
         raise MalformedRequest(
-            f"The body must be well-formed multipart/form-data of at most {_MAX_PARTS} parts; it is not.",
+            f"The body must be well-formed multipart/form-data of at most {_MAX_PARTS} parts: {found}.",
             hint="Let the HTTP client write the boundary: with curl, -F field=value.",
         ) from None
     try:

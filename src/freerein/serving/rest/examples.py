@@ -24,7 +24,7 @@ from freerein.types import imitation, learning, orchestrator, reward, segmentati
 from freerein.types.common import Goal, Image, ModelRef, Observation
 
 ID = "33aff6d631d05c00849156bc87785527"
-"""Of a simulation, or a ppo run: replace it by one that you were given."""
+"""Id of a simulation, or a ppo run: replace it by one that you were given."""
 
 BASE_URL = "http://SERVICE"
 """The service's address in commands, a placeholder."""

@@ -1,4 +1,4 @@
-"""Which web pages may call a service: its own, and those of the origins that an operator names.
+"""Origin policy: web pages that may call a service are its own, and those of the origins that an operator names.
 
 A browser lets any page send simple requests, such as POST of `multipart/form-data`, without asking first, and reaches
 services on loopback, too. It then names the page's origin in `Origin`, or, of a GET for an image or script, says in

@@ -20,7 +20,7 @@ from freerein.serving.rest.tensor_lists import OrList
 
 STRUCT = "google.protobuf.Struct"
 _DATATYPES = ("FP32", "INT64")
-"""Of a tensor whose field names none: one of a reply."""
+"""Datatypes of a tensor whose field names none: one of a reply."""
 
 _INTEGERS = {
     FieldDescriptor.TYPE_UINT32: (0, 2**32 - 1),

@@ -50,5 +50,5 @@ def _errors(
     pairs = sample_goal_pairs(windows, rng, max_goal_steps=max_goal_steps)
     places = network.recognizer.places(network.encoder(windows.frames))  # (N, A)
     moved = windows.odometer[pairs.goals] - windows.odometer[pairs.observations]  # (P, A)
-    told = places[pairs.goals] - places[pairs.observations]
-    return torch.stack([told - moved, moved]).abs().mean(dim=1)
+    estimated = places[pairs.goals] - places[pairs.observations]
+    return torch.stack([estimated - moved, moved]).abs().mean(dim=1)

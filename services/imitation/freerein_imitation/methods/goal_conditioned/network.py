@@ -29,7 +29,7 @@ class GoalConditionedSpec(GoalImagesSpec):
         recurrent: Whether the policy has a recurrent layer.
         stop: Whether the policy tells by an action of its own that the goal is reached; there is no recognizer then.
         forward_model: Whether there is a forward model, which is needed in training only.
-        forward_target: What it predicts.
+        forward_target: Target of its predictions.
     """
 
     use_previous_action: bool = True
@@ -109,7 +109,7 @@ class ForwardModel(nn.Module):
         self.residual = nn.Linear(_FORWARD_HIDDEN, pixels if self._predicts_pixels else features)
 
     def observed(self, features: Tensor, frames: FrameTensors) -> Tensor:
-        """Returns what the model predicts, as it is observed in frames: their features, or pixels; float32 (N, O).
+        """Returns the prediction targets of frames: their features, or pixels; float32 (N, O).
 
         Args:
             features: phi of the frames, float32 (N, D).
@@ -124,12 +124,12 @@ class ForwardModel(nn.Module):
         return torch.cat([each.flatten(start_dim=1) for each in images], dim=1)
 
     def forward(self, features: Tensor, action: Tensor, observed: Tensor) -> Tensor:
-        """Returns what is observed next, float32 (..., O).
+        """Returns the predicted next observation, float32 (..., O).
 
         Args:
             features: phi(x_t), float32 (..., D).
             action: Target or predicted distributions of a_t, float32 (..., action size).
-            observed: What is observed at t, float32 (..., O).
+            observed: Observation at t, float32 (..., O).
         """
         inputs = torch.cat([features, action], dim=-1)
         residual: Tensor = self.residual(functional.relu(self.hidden(inputs)))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from freerein.config import bounded, one_of
-from freerein.learning.actor_critic.eye import EYE
+from freerein.learning.actor_critic.object_encoder import OBJECT_ENCODER
 from freerein.learning.encoders import ENCODERS
 from freerein.learning.fit_config import DatasetFitConfig
 from freerein_imitation.methods.language.network import Conditioning, Fusion
@@ -15,10 +15,10 @@ class LanguageConfig(DatasetFitConfig):
     """Configuration of a fit of a language policy; `validation_fraction` is that of each goal text's trajectories.
 
     Attributes:
-        encoder: Image encoder; or `goal_eye`, the frozen eye of the first policy that acted in the dataset, which
-            gives the places of the text's two phrases.
+        encoder: Image encoder; or `goal_eye`, the frozen object encoder of the first policy that acted in the dataset,
+            which gives the keypoints of the text's two phrases.
         max_shift: Largest random shift of a frame along each axis, as a share of its side; 0 for none. Unused with
-            an eye, as `resized_crops` is.
+            an object encoder, as `resized_crops` is.
         resized_crops: Whether frames are random crops, enlarged to their size, as in section 4.3.
         amsgrad: Whether Adam is AMSGrad.
         features: Image features per camera.
@@ -34,11 +34,11 @@ class LanguageConfig(DatasetFitConfig):
         fusion: How the two meet: the text modulates the image features (`film`), or stands beside them (`concatenate`),
             as in section 4.3.
         text_code: What a text's code is: its `statement`, or its `sentence` embedding, as in section 4.3.
-        unseen_objects: Whether goals may name objects that no training text has. With an eye they may be what it
-            locates.
+        unseen_objects: Whether goals may name objects that no training text has. With an object encoder they may be
+            what it locates.
     """
 
-    encoder: str = one_of((EYE, *ENCODERS), "spatial")
+    encoder: str = one_of((OBJECT_ENCODER, *ENCODERS), "spatial")
     max_shift: float = bounded(0.03, least=0.0, most=0.25)
     resized_crops: bool = False
     amsgrad: bool = False

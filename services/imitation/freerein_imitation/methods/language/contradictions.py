@@ -1,4 +1,4 @@
-"""Which goal texts cannot hold at once: what the language alone tells of frames that show the goal of another text."""
+"""Goal texts that contradict each other: negative labels, from language alone, of frames that show another goal."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType

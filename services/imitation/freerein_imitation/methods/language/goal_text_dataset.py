@@ -24,10 +24,10 @@ class TimestepBatch:
 
     Attributes:
         frames: By camera, uint8 (B, H, W, C); empty where `seen` stands for them.
-        seen: What an eye sees of them, float32 (B, D); None without one.
+        seen: Their encoding by the object encoder, float32 (B, D); None without one.
         texts: Codes of the goal texts, float32 (B, code size).
         actions: float32 (B, A) or int64 (B, 1).
-        judged: What a reward model says of the frames; None where it was not asked.
+        judged: Labels by a reward model; None where it was not asked.
     """
 
     frames: FrameTensors
@@ -60,7 +60,7 @@ class GoalTextDataset:
         trajectories: Trajectories with goal texts.
         codes: Code of each distinct goal text, float32 (code size,).
         rivals: The other texts that contradict each distinct goal text.
-        seen: What an eye sees of each trajectory's frames, float32 (T, D); empty without one.
+        seen: Encoding of each trajectory's frames by the object encoder, float32 (T, D); empty without one.
     """
 
     trajectories: Trajectories
@@ -76,7 +76,7 @@ class GoalTextDataset:
         *,
         seen: Sequence[npt.NDArray[np.float32]] = (),
     ) -> "GoalTextDataset":
-        """Returns the dataset of trajectories, the codes of their texts, and what an eye sees of them."""
+        """Returns the dataset of trajectories, the codes of their texts, and what an object encoder sees of them."""
         return cls(trajectories, codes, contradictions(list(codes)), seen)
 
     def __len__(self) -> int:

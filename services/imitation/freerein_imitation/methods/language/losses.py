@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from freerein.learning import weights
-from freerein.learning.actor_critic.shared_eye import SharedEye
+from freerein.learning.actor_critic.shared_object_encoder import SharedObjectEncoder
 from freerein.learning.augmentation import resized_crops
 from freerein.learning.encoders import FrameTensors
 from freerein.learning.image_statistics import image_statistics
@@ -23,7 +23,6 @@ from freerein.learning.train_state import TrainState
 from freerein.learning.trajectories import Trajectories
 from freerein.types.common import ActionSpec, Camera
 from freerein_imitation.methods.language.config import LanguageConfig
-from freerein_imitation.methods.language.eye_encoder import EyeEncoder
 from freerein_imitation.methods.language.goal_text_dataset import (
     GoalTextDataset,
     TimestepBatch,
@@ -31,6 +30,7 @@ from freerein_imitation.methods.language.goal_text_dataset import (
     split_by_text,
 )
 from freerein_imitation.methods.language.network import LanguageNetwork, LanguageSpec, principal_components
+from freerein_imitation.methods.language.teacher_object_encoder import TeacherObjectEncoder
 from freerein_imitation.methods.language.texts.goal_text_codes import encode_text
 from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextReader
 from freerein_imitation.methods.language.texts.reader_fit import fit_goal_text_reader
@@ -55,7 +55,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
     Attributes:
         text_encoder: File of the text encoder.
         reader: Reads goal texts.
-        eye: What the student sees by; None for an image encoder that is trained.
+        object_encoder: The teachers', frozen; None for an image encoder that is trained.
     """
 
     config: LanguageConfig
@@ -66,7 +66,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
     reader: GoalTextReader
     fingerprint: str
     device: torch.device
-    eye: SharedEye | None = None
+    object_encoder: SharedObjectEncoder | None = None
 
     @classmethod
     def prepare(
@@ -79,7 +79,7 @@ class LanguageLearner(Learner[LanguageNetwork]):
         action: ActionSpec,
         fingerprint: str,
         device: torch.device,
-        eye: SharedEye | None = None,
+        object_encoder: SharedObjectEncoder | None = None,
     ) -> "LanguageLearner":
         """Returns the learner for trajectories with goal texts; fits a reader and reads every distinct text once.
 
@@ -88,12 +88,14 @@ class LanguageLearner(Learner[LanguageNetwork]):
         encoder, distinct = TextEncoder(text_encoder), sorted(set(trajectories.goal_texts))
         reader = fit_goal_text_reader(encoder, seed=config.seed)
         read = distinct[:1] * len(distinct) if config.conditioning == "none" else distinct
-        phrases = eye.spec.phrases if eye else ()
+        phrases = object_encoder.spec.phrases if object_encoder else ()
         encode = partial(encode_text, reader=reader, encoder=encoder, text_code=config.text_code, phrases=phrases)
         codes = {text: encode(each).numpy() for text, each in zip(distinct, read, strict=True)}
         predicts_reached = bool(trajectories.reached) and config.reached_weight > 0
         learned = trajectories if predicts_reached else replace(trajectories, reached=())
-        dataset = GoalTextDataset.of(learned, codes, seen=_see(eye, cameras[0].name, trajectories) if eye else ())
+        dataset = GoalTextDataset.of(
+            learned, codes, seen=_see(object_encoder, cameras[0].name, trajectories) if object_encoder else ()
+        )
         training, validation = split_by_text(dataset, fraction=config.validation_fraction, seed=config.seed)
         known = training.distinct_codes()
         components = principal_components(known[:, : reader.code_size]).shape[1]
@@ -106,15 +108,15 @@ class LanguageLearner(Learner[LanguageNetwork]):
             predicts_reached=predicts_reached,
             text_components=components,
             known_texts=len(known),
-            eye=eye.spec.image if eye else None,
+            eye=object_encoder.spec.image if object_encoder else None,
             phrases=phrases,
         )
         fingerprint = f"{fingerprint} {hashlib.sha256(text_encoder).hexdigest()}"
-        if eye:
-            fingerprint += f" {weights.sha256(eye)}"
+        if object_encoder:
+            fingerprint += f" {weights.sha256(object_encoder)}"
         if predicts_reached:
             fingerprint += f" {_sha256(trajectories.reached)}"
-        return cls(config, spec, training, validation, text_encoder, reader, fingerprint, device, eye)
+        return cls(config, spec, training, validation, text_encoder, reader, fingerprint, device, object_encoder)
 
     @property
     def size(self) -> int:
@@ -126,8 +128,8 @@ class LanguageLearner(Learner[LanguageNetwork]):
         network = LanguageNetwork(self.spec)
         weights.initialise(network, generator=generator)
         network.reader.load_state_dict(self.reader.state_dict())
-        if self.eye is not None and isinstance(network.encoder, EyeEncoder):
-            network.encoder.shared.load_state_dict(self.eye.state_dict())
+        if self.object_encoder is not None and isinstance(network.encoder, TeacherObjectEncoder):
+            network.encoder.shared.load_state_dict(self.object_encoder.state_dict())
         frames = self.training.trajectories.sample_frames(_NORMALISATION_FRAMES)
         network.fit_normalisation(frames, self.training.distinct_codes(), generator=generator)
         network.to(self.device)
@@ -191,8 +193,8 @@ class LanguageLearner(Learner[LanguageNetwork]):
         )
 
     def _augmented(self, frames: FrameTensors, generator: torch.Generator) -> FrameTensors:
-        """Returns frames shifted, or cropped, at random, as the configuration says; as they are for an eye."""
-        if self.eye is not None:
+        """Returns frames shifted, or cropped, at random, as configured; unchanged for an object encoder."""
+        if self.object_encoder is not None:
             return frames
         if self.config.max_shift:
             shift = partial(random_shift, most=self.config.max_shift, generator=generator)
@@ -203,17 +205,19 @@ class LanguageLearner(Learner[LanguageNetwork]):
 
 
 def features_of(network: LanguageNetwork, batch: TimestepBatch) -> Tensor:
-    """Returns what the encoder of a network makes of a batch's frames, float32 (B, D)."""
+    """Returns a network's image features of a batch, float32 (B, D)."""
     return network.encoder(batch.frames) if batch.seen is None else batch.seen
 
 
-def _see(eye: SharedEye, camera: str, trajectories: Trajectories) -> list[npt.NDArray[np.float32]]:
-    """Returns what an eye sees of the frames of each trajectory, float32 (T, D)."""
+def _see(object_encoder: SharedObjectEncoder, camera: str, trajectories: Trajectories) -> list[npt.NDArray[np.float32]]:
+    """Returns the object encoder's encoding of each trajectory's frames, float32 (T, D)."""
     arrays = trajectories.frames[camera]
     seen: list[npt.NDArray[np.float32]] = []
     for item in range(len(trajectories)):
         frames = torch.from_numpy(np.array(arrays[item]))
-        parts = [eye(frames[start : start + _FRAMES_AT_ONCE]) for start in range(0, len(frames), _FRAMES_AT_ONCE)]
+        parts = [
+            object_encoder(frames[start : start + _FRAMES_AT_ONCE]) for start in range(0, len(frames), _FRAMES_AT_ONCE)
+        ]
         seen.append(torch.cat(parts).numpy())
     return seen
 
@@ -235,7 +239,7 @@ def reached_loss(network: LanguageNetwork, features: Tensor, modulated: Tensor, 
 def reached_logits(
     network: LanguageNetwork, features: Tensor, modulated: Tensor, batch: TimestepBatch
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Returns logits of frames, told their goal texts and then their rivals, whether they show them, and where we know.
+    """Returns logits of frames conditioned on their goal texts, then on the rivals; labels; and where these are known.
 
     A frame that shows its goal does not show that of a text which contradicts it; of any other frame that is unknown.
 
@@ -250,7 +254,8 @@ def reached_logits(
     """
     recognizer, judged = network.recognizer, batch.judged
     if recognizer is None or judged is None:
-        raise ValueError("The network must have a recognizer, and the frames must be judged; they are not.")
+        found = f"recognizer: {recognizer is not None}, judged: {judged is not None}"
+        raise ValueError(f"The network must have a recognizer, and the frames must be judged; got {found}.")
     logits = recognizer.logits(torch.cat([modulated, network.modulate(features, judged.rivals)]))
     shown = torch.cat([judged.reached, torch.zeros_like(judged.reached)])
     known = torch.cat([torch.ones_like(judged.reached), judged.reached & judged.is_rivalled])

@@ -10,9 +10,9 @@ import torch
 from freerein.data import read_teachers
 from freerein.errors import InvalidInput
 from freerein.goal_text import Grammar
-from freerein.learning.actor_critic import shared_eye
-from freerein.learning.actor_critic.eye import EYE
-from freerein.learning.actor_critic.shared_eye import SharedEye
+from freerein.learning.actor_critic import shared_object_encoder
+from freerein.learning.actor_critic.object_encoder import OBJECT_ENCODER
+from freerein.learning.actor_critic.shared_object_encoder import SharedObjectEncoder
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
@@ -39,7 +39,7 @@ def _check(source: FitDataset, config: LanguageConfig) -> None:
             hint="Record each trajectory with its goal text.",
         )
     spec_of(config, LanguageSpec, cameras=source.cameras(config.cameras), action=dataset.spec.action)
-    _find_eye(source, config)
+    _find_encoder(source, config)
 
 
 def _complete(source: FitDataset, config: LanguageConfig) -> LanguageConfig:
@@ -47,37 +47,38 @@ def _complete(source: FitDataset, config: LanguageConfig) -> LanguageConfig:
     return replace(config, max_steps_per_goal=config.max_steps_per_goal or longest)
 
 
-def _find_eye(source: FitDataset, config: LanguageConfig) -> tuple[SharedEye, dict[str, Any]] | None:
-    """Returns the eye of the policies that acted in a dataset, and its card; None for another encoder.
+def _find_encoder(source: FitDataset, config: LanguageConfig) -> tuple[SharedObjectEncoder, dict[str, Any]] | None:
+    """Returns the object encoder of the policies that acted in a dataset, and its card; None for another encoder.
 
     Raises:
         InvalidInput: They had none, or it is of another camera, or a goal text relates no two things that it locates.
     """
-    if config.encoder != EYE:
+    if config.encoder != OBJECT_ENCODER:
         return None
-    folder = source.root / shared_eye.FOLDER
+    folder = source.root / shared_object_encoder.FOLDER
     if not folder.is_dir():
-        raise shared_eye.no_eye()
-    eye, card = shared_eye.load_eye(folder)
+        raise shared_object_encoder.no_object_encoder()
+    encoder, card = shared_object_encoder.load_object_encoder(folder)
     if config.cameras != (card["camera"],):
         raise InvalidInput(
-            f"The eye sees the camera {card['camera']}; the student is to see {', '.join(config.cameras)}.",
+            f"The object encoder sees the camera {card['camera']}; the student is to see {', '.join(config.cameras)}.",
             field="config.cameras",
             hint="Leave them out, or choose an image encoder.",
         )
-    known = Grammar(eye.spec.phrases, eye.spec.phrases)
+    phrases = encoder.spec.phrases
+    known = Grammar(phrases, phrases)
     unread = [text for text in sorted(set(source.dataset.goal_texts)) if known.read(text).statement is None]
     if unread:
         raise InvalidInput(
-            f"With an eye each goal text must relate two of: {', '.join(eye.spec.phrases)}; {len(unread)} do not.",
+            f"With an object encoder each goal text must relate two of: {', '.join(phrases)}; {len(unread)} do not.",
             field="config.encoder",
             hint="Choose an image encoder.",
         )
-    return eye, card
+    return encoder, card
 
 
 def _prepare(source: FitDataset, config: LanguageConfig, device: torch.device) -> LanguageLearner:
-    found = _find_eye(source, config)
+    found = _find_encoder(source, config)
     return LanguageLearner.prepare(
         config,
         source.trajectories(config.cameras),
@@ -86,14 +87,14 @@ def _prepare(source: FitDataset, config: LanguageConfig, device: torch.device) -
         action=source.dataset.spec.action,
         fingerprint=source.dataset.fingerprint,
         device=device,
-        eye=found[0] if found else None,
+        object_encoder=found[0] if found else None,
     )
 
 
 def _card(source: FitDataset, learner: LanguageLearner, fitted: FitResult[LanguageNetwork]) -> dict[str, Any]:
     texts = sorted(set(source.dataset.goal_texts))
     threshold, figures = _reached(learner, fitted.network)
-    found = _find_eye(source, learner.config)
+    found = _find_encoder(source, learner.config)
     return {
         **ControlSpec(source.dataset.spec.control_dt_s, threshold, learner.config.max_steps_per_goal).to_card(),
         "figures": {**fitted.figures, "action_loss": fitted.validation_loss, **figures},
@@ -127,7 +128,7 @@ def _files(learner: LanguageLearner) -> Mapping[str, bytes]:
 def supervision_of(teacher_cards: Sequence[Mapping[str, Any]], *, is_judged: bool = False) -> dict[str, Any]:
     """Returns the card's entries on supervision: the dataset's, and that of the policies that acted in it, if any.
 
-    `is_judged` tells whether the frames that show the goal were told by a learned reward.
+    `is_judged`: whether a learned reward chose the frames that show the goal.
     """
     supervision = "images, executed actions and goal texts"
     if is_judged:

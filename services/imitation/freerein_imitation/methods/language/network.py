@@ -12,21 +12,21 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from freerein.config import bounded, one_of
-from freerein.learning.actor_critic.eye import EYE
+from freerein.learning.actor_critic.object_encoder import OBJECT_ENCODER
 from freerein.learning.encoders import ENCODERS, CameraEncoders, FrameTensors
 from freerein.learning.encoders.clip import ClipImageSpec
 from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
-from freerein_imitation.methods.language.eye_encoder import EyeEncoder
 from freerein_imitation.methods.language.recognizer import GoalTextRecognizer
+from freerein_imitation.methods.language.teacher_object_encoder import TeacherObjectEncoder
 from freerein_imitation.methods.language.texts.goal_text_codes import PAIR, RELATIONS, TextCode, statement_size
 from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextReader
 from freerein_imitation.model.torch_policy import PolicyNetwork
 
 Conditioning = Literal["text", "code", "none"]
 Fusion = Literal["film", "concatenate"]
-"""What a network gets of a goal text, and how; see `LanguageConfig`."""
+"""Kinds of conditioning, and of its fusion with image features; see `LanguageConfig`."""
 
 MAX_COMPONENTS = 64
 MAX_KNOWN_TEXTS = 10_000
@@ -44,14 +44,14 @@ class LanguageSpec(InputSpec):
         known_texts: Training goal texts.
         conditioning: As in `LanguageConfig`.
         fusion: As in `LanguageConfig`, like the next two.
-        text_code: What the code of a text is made of.
+        text_code: Kind of a text's code.
         unseen_objects: Whether goals may name others than its training texts do.
-        eye: Sizes of the image encoder of its eye; None for an image encoder that is trained.
-        phrases: Noun phrases that the eye locates.
+        eye: Sizes of the image encoder of its object encoder; None for an image encoder that is trained.
+        phrases: Noun phrases that the object encoder locates.
         predicts_reached: Whether it says that the goal is reached.
         reached_steps: As in `LanguageConfig`.
         encoder: Image encoder.
-        features: Image features per camera; unused with an eye.
+        features: Image features per camera; unused with an object encoder.
         text_features: Size of the text features.
         hidden_size: Units of the two hidden layers.
     """
@@ -67,7 +67,7 @@ class LanguageSpec(InputSpec):
     phrases: tuple[str, ...] = ()
     predicts_reached: bool = False
     reached_steps: int = bounded(1, least=1, most=256)
-    encoder: str = one_of((EYE, *ENCODERS), "spatial")
+    encoder: str = one_of((OBJECT_ENCODER, *ENCODERS), "spatial")
     features: int = bounded(128, least=8, most=1024)
     text_features: int = bounded(32, least=1, most=1024)
     hidden_size: int = bounded(128, least=8, most=1024)
@@ -83,8 +83,8 @@ class LanguageSpec(InputSpec):
 class LanguageNetwork(PolicyNetwork):
     """pi(a_t | x_t, text): image features modulated by the text (FiLM), two hidden layers, action head.
 
-    With an eye, image features are the places of the two things that the text names, and what is left of the text is
-    the relation. Without a text they are those of all things.
+    With an object encoder, image features are the keypoints of the two things that the text names, and the text's code
+    is the relation alone. Without a text they are those of all things.
 
     Attributes:
         reader: Reads goal texts; trained before, on text alone.
@@ -122,7 +122,7 @@ class LanguageNetwork(PolicyNetwork):
     @property
     def _view_size(self) -> int:
         """Numbers that the layers get of frames, before the text modulates them."""
-        if isinstance(self.encoder, EyeEncoder) and self.spec.conditioning != "none":
+        if isinstance(self.encoder, TeacherObjectEncoder) and self.spec.conditioning != "none":
             return self.encoder.shared.pair_size
         return self.encoder.size
 
@@ -168,7 +168,7 @@ class LanguageNetwork(PolicyNetwork):
         return near
 
     def _condition(self, texts: Tensor) -> Tensor:
-        """Returns what the network gets of texts: float32 (B, condition_size)."""
+        """Returns the conditioning vectors of texts, float32 (B, condition_size)."""
         if self.spec.conditioning == "code":
             return functional.one_hot(self._nearest(texts), self.spec.known_texts).to(texts.dtype)
         if self.spec.eye is None:
@@ -177,8 +177,8 @@ class LanguageNetwork(PolicyNetwork):
         return relation if self.spec.conditioning == "text" else torch.zeros_like(relation)
 
     def _view(self, features: Tensor, texts: Tensor) -> Tensor:
-        """Returns what the layers get of frames, float32 (B, view size), of what `encoder` returned, told texts."""
-        if not isinstance(self.encoder, EyeEncoder) or self.spec.conditioning == "none":
+        """Returns the layers' input, float32 (B, view size), from the encoder's features, conditioned on texts."""
+        if not isinstance(self.encoder, TeacherObjectEncoder) or self.spec.conditioning == "none":
             return features
         is_code = self.spec.conditioning == "code"
         said = self.known_statements[self._nearest(texts)] if is_code else texts[:, self.reader.code_size :]
@@ -217,10 +217,10 @@ class LanguageNetwork(PolicyNetwork):
         return action[:, None] if self.spec.action.choices else action
 
 
-def _encoder(spec: LanguageSpec) -> CameraEncoders | EyeEncoder:
+def _encoder(spec: LanguageSpec) -> CameraEncoders | TeacherObjectEncoder:
     if spec.eye is None:
         return CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
-    return EyeEncoder(spec.eye, spec.phrases, camera=spec.cameras[0], action_size=spec.action.size)
+    return TeacherObjectEncoder(spec.eye, spec.phrases, camera=spec.cameras[0], action_size=spec.action.size)
 
 
 def principal_components(embeddings: Tensor) -> Tensor:

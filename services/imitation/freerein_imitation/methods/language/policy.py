@@ -65,7 +65,7 @@ class LanguagePolicy(TorchPolicy[LanguageNetwork]):
             goal_form="text",
             training_texts=tuple(training_texts),
             objects=spec.phrases,
-            unseen_objects=spec.unseen_objects and spec.eye is None,  # an eye has no place for others
+            unseen_objects=spec.unseen_objects and spec.eye is None,  # an object encoder has no place for others
             predicts_reached=spec.predicts_reached,
             recurrent_size=spec.reached_steps - 1 if spec.predicts_reached else 0,
         )
@@ -121,11 +121,11 @@ def _load_texts(folder: Path, card: dict[str, Any]) -> list[str]:
     try:
         path = folder / TEXTS_FILE
         texts = json.loads(path.read_bytes()) if path.exists() else card["goal_texts"]["first"]
-    except (OSError, ValueError, RecursionError, KeyError, TypeError):
-        texts = None
+    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
+        texts = error
     if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
         raise InvalidInput(
-            "A language policy's folder must hold the goal texts that it was fitted to; it does not.",
+            f"A language policy's folder must hold the goal texts that it was fitted to; got {type(texts).__name__}.",
             hint="Fit the model again, or restore its folder from a copy.",
         )
     return texts
@@ -136,9 +136,9 @@ def _load_text_encoder(folder: Path, card: dict[str, Any]) -> TextEncoder:
         data, expected = (folder / TEXT_ENCODER_FILE).read_bytes(), card[_ENCODER_KEY]["sha256"]
     except (OSError, KeyError, TypeError):
         data, expected = b"", None
-    if hashlib.sha256(data).hexdigest() != expected:
+    if (found := hashlib.sha256(data).hexdigest()) != expected:
         raise InvalidInput(
-            "A language policy's folder must hold the text encoder whose sha256 its card names; it does not.",
+            f"The text encoder must have the sha256 on the card, {expected}; got {found}, of {len(data)} bytes.",
             hint="Fit the model again, or restore its folder from a copy.",
         )
     return TextEncoder(data)

@@ -5,7 +5,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 PRECISION = 0.95
-"""Of what is called reached, on held-out frames, by the learned reward."""
+"""Precision of `reached` on held-out frames, by the learned reward, that sets the threshold."""
 
 _ITERATIONS = 100
 _PENALTY = 1e-3  # of the squared parameters, which examples that are set apart would let grow without bound

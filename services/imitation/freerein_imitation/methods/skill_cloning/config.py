@@ -17,13 +17,13 @@ class SkillCloningConfig(DatasetFitConfig):
     """Configuration of a fit of skill cloning.
 
     Attributes:
-        ends: What ends a skill: the termination `head`, or a `budget` of steps alone, from the labelled segments.
+        ends: End of a skill: by the termination `head`, or after a `budget` of steps alone, from the labelled segments.
         encoder: Image encoder.
         features: Image features per camera.
         hidden_size: Units of the hidden layers.
         memory: Earlier frames that an action depends on.
         past_actions: Executed actions that an action depends on. They tempt a policy to repeat itself.
-        past_action_dropout: Share of timesteps that are not told past actions.
+        past_action_dropout: Share of timesteps that are not conditioned on past actions.
         chunk: Actions that are predicted from one frame.
         use_robot_state: Whether an action also depends on the robot's own state, `observation.state`.
         shift: Largest random shift of training frames, in pixels.

@@ -9,8 +9,8 @@ like an end does not stay there. A frame counts once, however many timesteps the
 
 Where a robot executes several actions before it observes again, predictions for the timesteps in between drop out. As
 training saw frames of consecutive timesteps, a motion counts per timestep; to take earlier frames for unknown, as at
-the start of an episode, would lose velocities. Of the executed actions a policy is told the last, and training saw none
-before it only at that start: those before it count as unknown.
+the start of an episode, would lose velocities. A policy gets only the last of the executed actions, and training saw
+none before it only at that start: those before it count as unknown.
 
 Callers may change a state, so that any finite numbers must be taken: rates and counts are clamped.
 """
@@ -152,5 +152,5 @@ def averaged_end(before: Tensor, ended: Tensor) -> Tensor:
 
 
 def _later(values: Tensor) -> Tensor:
-    """Returns what was predicted, (B, K, ...), as seen from the next timestep, with less weight."""
+    """Returns predictions, (B, K, ...), shifted to the next timestep, with less weight."""
     return _DECAY * torch.cat([values[:, 1:], torch.zeros_like(values[:, :1])], dim=1)

@@ -37,7 +37,7 @@ class SkillCloningSpec(InputSpec):
 
     Attributes:
         skills: Names of the skills.
-        ends: What ends a skill: the termination `head`, or a `budget` of steps alone.
+        ends: End of a skill: by the termination `head`, or after a `budget` of steps alone.
         encoder: Image encoder.
         features: Image features per camera.
         hidden_size: Units of the hidden layers.

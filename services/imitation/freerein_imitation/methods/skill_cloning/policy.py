@@ -56,7 +56,7 @@ class SkillCloningPolicy(SkillPolicy[SkillCloningNetwork]):
         return StepOutputs(self._actions(averaged), reached, later.flat(), network.confidence(ended, felt))
 
     def _predicted(self, chunk: Tensor) -> Tensor:
-        """Returns what is averaged over predictions: actions, or probabilities of choices; float32 (B, K, O)."""
+        """Returns the quantities averaged over predictions: actions, or probabilities of choices; float32 (B, K, O)."""
         network = self._network
         return chunk.softmax(dim=2) if self.spec.action.choices else chunk * network.action_std + network.action_mean
 

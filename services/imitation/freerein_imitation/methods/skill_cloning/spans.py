@@ -128,7 +128,7 @@ class Spans:
         )
 
     def _seen(self, arrays: TrajectoryArrays[D], chosen: Sequence[tuple[int, int]], length: int) -> npt.NDArray[D]:
-        """Returns what was observed in spans and before them, (B * (n + L), ...).
+        """Returns the observations of spans and of the timesteps before them, (B * (n + L), ...).
 
         Before and after a trajectory it is the first and the last observation.
         """

@@ -1,6 +1,6 @@
-"""Where the hand is in a frame, and where a skill takes it: heat maps over the cells of a frame.
+"""Keypoints of the gripper, of a skill's object and of its goal position: heat maps over the cells of a frame.
 
-Places are x and y in [-1, 1] from the left upper corner, as `torch.nn.functional.grid_sample` has them: float32 (N, 2).
+Keypoints are x, y in [-1, 1] from the left upper corner, as `torch.nn.functional.grid_sample` has them: float32 (N, 2).
 """
 
 import math
@@ -15,11 +15,11 @@ from freerein.types.common import Camera
 
 _CROP, _CROP_HALF = 32, 0.5  # points along each side, and half of its side as a share of the frame's
 _OPENING_UNITS = 64
-_HAND_CELLS, _HAND_CHANNELS = 16, 24
+_GRIPPER_CELLS, _GRIPPER_CHANNELS = 16, 24
 _MAP_CELLS, _MAP_CHANNELS = 32, 16
-_DISPLACEMENT_GAIN = 10.0  # a hand crosses a frame in about ten steps
-_TEMPLATE_CELLS = 13  # an object is recognised by what is up to six cells from the place that stands for the hand
-_ROW_WIDTH, _COLUMN_WIDTH = 1.0, 1.5  # cells; standard deviations of the smoothing of a place's probability
+_DISPLACEMENT_GAIN = 10.0  # a gripper crosses a frame in about ten steps
+_TEMPLATE_CELLS = 13  # an object is recognised by the cells up to six from the gripper's keypoint
+_ROW_WIDTH, _COLUMN_WIDTH = 1.0, 1.5  # cells; standard deviations of the smoothing of a keypoint's probability
 _SMOOTHED_CELLS = 4
 _MODE_CELLS = 1.5
 
@@ -43,7 +43,7 @@ class ReluLinear(nn.Linear):
 class KeypointHead(nn.Conv2d):
     """A heat map that is initially high wherever features are: where a frame differs from the mean image.
 
-    With a map that is high where the hand is not, a keypoint would move against the hand, and might never find it.
+    With a map that is high where the gripper is not, a keypoint would move against it, and might never find it.
     """
 
     def initialise(self, generator: torch.Generator) -> None:
@@ -70,8 +70,8 @@ class Cells(nn.Module):
         side: Pixels along each side of a cell.
         rows: Rows of cells.
         columns: Columns of cells.
-        centres: Places of the centres, float32 (rows * columns, 2).
-        pitch: Width and height of a cell, as a difference of places, float32 (2,).
+        centres: Positions of the centres, float32 (rows * columns, 2).
+        pitch: Width and height of a cell, as a difference of positions, float32 (2,).
     """
 
     centres: Tensor
@@ -121,10 +121,10 @@ def _smoothed(probabilities: Tensor, width: float) -> Tensor:
     return functional.conv1d(probabilities[:, None], kernel[None, None], padding=_SMOOTHED_CELLS)[:, 0]
 
 
-class Hand(nn.Module):
-    """Where the hand is, and how far its gripper is open, learned from executed actions alone.
+class GripperKeypoint(nn.Module):
+    """Keypoint and opening of the gripper, learned from executed actions alone.
 
-    The place is a spatial soft-argmax (Levine et al., 2016): what moves as the actions say. The opening is what else
+    The keypoint is a spatial soft-argmax (Levine et al., 2016): what moves as the actions say. The opening is what else
     changes around it, as the actions of the gripper say.
 
     Args:
@@ -136,10 +136,10 @@ class Hand(nn.Module):
 
     def __init__(self, camera: Camera, *, is_gripper: Sequence[bool]) -> None:
         super().__init__()
-        self.cells = Cells(camera, most=_HAND_CELLS)
-        self.stem = self.cells.stem(camera.channels, _HAND_CHANNELS)
-        self.conv = ReluConv(_HAND_CHANNELS, _HAND_CHANNELS, kernel_size=3, padding=1)
-        self.head = KeypointHead(_HAND_CHANNELS, 1, kernel_size=1)
+        self.cells = Cells(camera, most=_GRIPPER_CELLS)
+        self.stem = self.cells.stem(camera.channels, _GRIPPER_CHANNELS)
+        self.conv = ReluConv(_GRIPPER_CHANNELS, _GRIPPER_CHANNELS, kernel_size=3, padding=1)
+        self.head = KeypointHead(_GRIPPER_CHANNELS, 1, kernel_size=1)
         self.displacement = nn.Parameter(torch.empty(len(is_gripper), 2))
         self.lag = nn.Linear(len(is_gripper), len(is_gripper), bias=False)
         self._grippers = [number for number, each in enumerate(is_gripper) if each]
@@ -158,14 +158,14 @@ class Hand(nn.Module):
         nn.init.zeros_(self.displacement)
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """Returns places, float32 (N, 2), in pixels (N, C, H, W)."""
+        """Returns keypoints, float32 (N, 2), in pixels (N, C, H, W)."""
         x = functional.relu(self.conv(functional.relu(self.stem(pixels))))
-        place: Tensor = self.head(x).flatten(1).softmax(dim=1) @ self.cells.centres
-        return place
+        keypoint: Tensor = self.head(x).flatten(1).softmax(dim=1) @ self.cells.centres
+        return keypoint
 
-    def crop(self, pixels: Tensor, place: Tensor) -> Tensor:
-        """Returns what is around the hand, float32 (N, crop_size)."""
-        return functional.grid_sample(pixels, place[:, None, None] + self.window, align_corners=False).flatten(1)
+    def crop(self, pixels: Tensor, keypoint: Tensor) -> Tensor:
+        """Returns the crop around the gripper, float32 (N, crop_size)."""
+        return functional.grid_sample(pixels, keypoint[:, None, None] + self.window, align_corners=False).flatten(1)
 
     def opening(self, crop: Tensor) -> Tensor:
         """Returns how far each gripper is open, in actions from an opening of its own, float32 (N, openings)."""
@@ -181,9 +181,9 @@ class Hand(nn.Module):
         """Returns the sum of the actions between two frames, float32 (N, A), as their differences tell it.
 
         Args:
-            moved: Of the hand's places, float32 (N, 2).
+            moved: Of the gripper's keypoint, float32 (N, 2).
             opened: Of the openings, float32 (N, openings).
-            previous: Of the actions executed just before, which the hand has not followed yet, float32 (N, A).
+            previous: Of the actions executed just before, which the gripper has not followed yet, float32 (N, A).
         """
         summed: Tensor = _DISPLACEMENT_GAIN * functional.linear(moved, self.displacement) + self.lag(previous)
         return summed.index_add(1, torch.tensor(self._grippers, dtype=torch.int64, device=summed.device), opened)
@@ -192,9 +192,9 @@ class Hand(nn.Module):
 class SkillHeatMaps(nn.Module):
     """Where a skill's object is, and where the skill will put it: two heat maps, by fully convolutional layers.
 
-    Pick and place as places in the frame, as Zeng et al., "Transporter networks" (2020), but with maps for each skill.
-    An object is matched with a template as wide as its place may be off: the place that stands for the hand may be
-    anywhere on the hand.
+    Pick and place as keypoints in the frame (Zeng et al., "Transporter networks", 2020), but with maps for each skill.
+    An object is matched with a template as wide as its position may be off: the gripper's keypoint may be anywhere on
+    the gripper.
 
     Args:
         camera: Camera of the frames.
@@ -216,7 +216,7 @@ class SkillHeatMaps(nn.Module):
         nn.init.zeros_(self.position)
 
     def forward(self, pixels: Tensor, skill: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns logits over cells, float32 (N, cells) each: of the object's place, and of where it will be put.
+        """Returns logits over cells, float32 (N, cells) each: of the object, and of where it will be put.
 
         Args:
             pixels: float32 (N, C, H, W).

@@ -2,9 +2,9 @@
 
 A fit has three parts, each of which learns from what the one before has found:
 
-1. the hand: a keypoint whose motion, with what changes around it, tells the actions executed between two frames;
-2. heat maps: where the hand was when a skill grasped and released its object is where the object was and was put;
-3. the policy: the next waypoint, and termination, given these places.
+1. the gripper: a keypoint from whose motion and surroundings the actions executed between two frames are estimated;
+2. heat maps: the gripper's keypoints at a skill's grasp and release are those where its object was and was put;
+3. the policy: the next waypoint, and termination, given these keypoints.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,9 +45,9 @@ TERMINATION_THRESHOLD = 0.97
 """Probability from which on a skill has terminated. The loss gives both classes equal weight, but to end late costs a
 few timesteps, and to end early the object."""
 
-_HAND_SHARE, _MAPS_SHARE = 0.07, 0.04
-_HAND_SHARE_AUGMENTED, _MAPS_SHARE_AUGMENTED = 0.09, 0.09
-"""Shares of a fit's steps for the hand, and for the heat maps, which see more where frames are augmented."""
+_GRIPPER_SHARE, _MAPS_SHARE = 0.07, 0.04
+_GRIPPER_SHARE_AUGMENTED, _MAPS_SHARE_AUGMENTED = 0.09, 0.09
+"""Shares of a fit's steps for the gripper, and for the heat maps, which see more where frames are augmented."""
 
 _NORMALISATION_FRAMES = 500
 _EVALUATED_STEPS = 1000
@@ -55,12 +55,12 @@ _FRAMES_AT_ONCE = 256
 _ODOMETRY_BETA = 0.2  # actions; larger errors count linearly
 _PLACE_WEIGHT = 0.5
 _MAP_WIDTH = 0.8  # cells
-_HAND_NOISE, _OBJECT_NOISE, _PLACE_NOISE = 0.004, 0.01, 0.015
-"""Standard deviations of the noise of places that the policy is trained with: errors of frames never seen are larger
+_GRIPPER_NOISE, _OBJECT_NOISE, _PLACE_NOISE = 0.004, 0.01, 0.015
+"""Standard deviations of the noise of keypoints that the policy is trained with: errors of frames never seen are larger
 than those of training frames."""
 
 _NO_PREVIOUS = 0.2
-"""Share of timesteps for which the policy is not told the previous action, so that it does not merely repeat it."""
+"""Share of timesteps at which the policy is not conditioned on the previous action, so as not merely to repeat it."""
 
 _AUGMENTED = 0.5
 """Share of training frames that are augmented, once augmentation begins."""
@@ -86,7 +86,7 @@ class SkillsLearner(Learner[SkillsNetwork]):
     fingerprint: str
     device: torch.device
     _found: dict[str, Any] = field(default_factory=dict)
-    """Keypoints that the hand's and the maps' stages find in the training frames; computed again after a resume."""
+    """Keypoints that the gripper's and the maps' stages find in the training frames; computed again after a resume."""
 
     @classmethod
     def prepare(
@@ -148,32 +148,32 @@ class SkillsLearner(Learner[SkillsNetwork]):
 
     def stages(self) -> tuple[Stage[SkillsNetwork], ...]:
         """Returns the three parts of a fit."""
-        hand, maps = self._hand_and_maps()
+        gripper, maps = self._gripper_and_maps()
         return (
-            self._stage("hand", hand, self._hand_loss),
-            self._stage("maps", maps - hand, self._maps_loss),
+            self._stage("hand", gripper, self._gripper_loss),
+            self._stage("maps", maps - gripper, self._maps_loss),
             self._stage("policy", self.config.steps - maps, self._policy_loss),
         )
 
     def _stage(
         self, name: str, steps: int, loss: Callable[[SkillsNetwork, Items, np.random.Generator, Views], Tensor]
     ) -> Stage[SkillsNetwork]:
-        """Returns a stage; frames are augmented once the hand has been found in them as they are."""
+        """Returns a stage; frames are augmented once the gripper has been found in them as they are."""
 
         def losses(state: State, items: Items) -> Losses:
-            rng, (hand, _) = state.rng(), self._hand_and_maps()
-            strength = delayed(self.config.augmentation, step=state.step, steps=hand)
+            rng, (gripper, _) = state.rng(), self._gripper_and_maps()
+            strength = delayed(self.config.augmentation, step=state.step, steps=gripper)
             views = Views(strength, _AUGMENTED, state.generator)
             return {"train_loss": loss(state.network, items, rng, views)}
 
         return Stage(name, steps, losses)
 
-    def _hand_and_maps(self) -> tuple[int, int]:
-        """Returns the steps after which the hand is learned, and after which the maps are, too."""
+    def _gripper_and_maps(self) -> tuple[int, int]:
+        """Returns the steps after which the gripper is learned, and after which the maps are, too."""
         is_augmented = self.config.augmentation > 0
-        shares = (_HAND_SHARE_AUGMENTED, _MAPS_SHARE_AUGMENTED) if is_augmented else (_HAND_SHARE, _MAPS_SHARE)
-        hand, maps = np.round(np.cumsum(shares) * self.config.steps).astype(int).tolist()
-        return hand, maps
+        shares = (_GRIPPER_SHARE_AUGMENTED, _MAPS_SHARE_AUGMENTED) if is_augmented else (_GRIPPER_SHARE, _MAPS_SHARE)
+        gripper, maps = np.round(np.cumsum(shares) * self.config.steps).astype(int).tolist()
+        return gripper, maps
 
     def evaluate(self, state: State) -> float:
         """Returns the loss of the policy on validation timesteps, on frames as they are and augmented ones."""
@@ -183,7 +183,7 @@ class SkillsLearner(Learner[SkillsNetwork]):
 
     @torch.no_grad()
     def validation_losses(self, network: SkillsNetwork, *, strength: float = 0.0) -> Losses:
-        """Returns the losses on validation timesteps, with places as the network finds them in augmented frames."""
+        """Returns the losses on validation timesteps, with keypoints as the network finds them in augmented frames."""
         views = Views(strength, 1.0, torch.Generator().manual_seed(self.config.seed))
         parts = [self._predict(network, each, views) for each in self._validation_parts()]
         displacement, termination = (torch.cat(each) for each in zip(*parts, strict=True))
@@ -210,8 +210,8 @@ class SkillsLearner(Learner[SkillsNetwork]):
         """Trajectories of the training segments, ascending."""
         return sorted({each.trajectory for each in self.segments})
 
-    def _hand_loss(self, network: SkillsNetwork, items: Items, rng: np.random.Generator, views: Views) -> Tensor:
-        """Returns the error of the actions executed between pairs of timesteps, as the hand's motion tells them."""
+    def _gripper_loss(self, network: SkillsNetwork, items: Items, rng: np.random.Generator, views: Views) -> Tensor:
+        """Returns the error of the actions between pairs of timesteps, as estimated from the gripper's motion."""
         first = self.training[items]
         lengths = np.array([len(self.demonstrations.actions[item]) for item in first.trajectory])
         ends = rng.integers(0, lengths)
@@ -219,20 +219,20 @@ class SkillsLearner(Learner[SkillsNetwork]):
         executed = np.stack([self._executed(item, stop) - self._executed(item, start) for item, start, stop in pairs])
         before = np.stack([self._previous(item, stop) - self._previous(item, start) for item, start, stop in pairs])
         pixels, shift = self._seen(network, np.tile(first.trajectory, 2), np.append(first.timestep, ends), views)
-        hands = network.hand(pixels)
-        openings = network.hand.opening(network.hand.crop(pixels, hands.detach()))
-        moved, opened = (each[len(items) :] - each[: len(items)] for each in (hands - shift, openings))
-        told = network.hand.executed(moved, opened, self._tensor(before))
-        return functional.smooth_l1_loss(told, self._tensor(executed), beta=_ODOMETRY_BETA)
+        grippers = network.hand(pixels)
+        openings = network.hand.opening(network.hand.crop(pixels, grippers.detach()))
+        moved, opened = (each[len(items) :] - each[: len(items)] for each in (grippers - shift, openings))
+        estimated = network.hand.executed(moved, opened, self._tensor(before))
+        return functional.smooth_l1_loss(estimated, self._tensor(executed), beta=_ODOMETRY_BETA)
 
     def _maps_loss(self, network: SkillsNetwork, items: Items, _: np.random.Generator, views: Views) -> Tensor:
-        """Returns the cross-entropies of both heat maps; places are learned before the grasp, where they are chosen."""
-        steps, cells, hands = self.training[items], network.maps.cells, self._hands(network)
+        """Returns the cross-entropies of both heat maps; that of goal positions is of timesteps before the grasp."""
+        steps, cells, grippers = self.training[items], network.maps.cells, self._grippers(network)
         pixels, shift = self._seen(network, steps.trajectory, steps.timestep, views)
         maps = network.maps(pixels, self._skills(steps))
         target, place = (
             heat_map_cross_entropy(
-                logits, cells.centres, self._at(hands, steps.trajectory, at) + shift, width=_MAP_WIDTH * cells.pitch
+                logits, cells.centres, self._at(grippers, steps.trajectory, at) + shift, width=_MAP_WIDTH * cells.pitch
             )
             for logits, at in zip(maps, (steps.object_at, steps.place_at), strict=True)
         )
@@ -240,19 +240,19 @@ class SkillsLearner(Learner[SkillsNetwork]):
         return target.mean() + _PLACE_WEIGHT * masked_mean(place, is_before_grasp)
 
     def _policy_loss(self, network: SkillsNetwork, items: Items, rng: np.random.Generator, views: Views) -> Tensor:
-        """Returns the losses of action and termination, with noisy places."""
-        steps, hands, targets = self.training[items], self._hands(network), self._targets(network)
+        """Returns the losses of action and termination, with noisy keypoints."""
+        steps, grippers, targets = self.training[items], self._grippers(network), self._targets(network)
         pixels, shift = self._seen(network, steps.trajectory, steps.timestep, views)
-        hand, target, place = (
+        gripper, target, place = (
             each + shift + noise * self._tensor(rng.standard_normal(each.shape).astype(np.float32))
             for each, noise in (
-                (self._at(hands, steps.trajectory, steps.timestep), _HAND_NOISE),
+                (self._at(grippers, steps.trajectory, steps.timestep), _GRIPPER_NOISE),
                 (targets[torch.from_numpy(items).to(self.device)], _OBJECT_NOISE),
-                (self._at(hands, steps.trajectory, steps.place_at), _PLACE_NOISE),
+                (self._at(grippers, steps.trajectory, steps.place_at), _PLACE_NOISE),
             )
         )
         previous = self._tensor(steps.previous * (rng.random((len(items), 1)) >= _NO_PREVIOUS).astype(np.float32))
-        displacement, termination = network(pixels, hand, target, place, previous)
+        displacement, termination = network(pixels, gripper, target, place, previous)
         return self._losses(displacement, termination, steps)["train_loss"]
 
     def _losses(self, displacement: Tensor, termination: Tensor, steps: SkillSteps) -> Losses:
@@ -266,7 +266,7 @@ class SkillsLearner(Learner[SkillsNetwork]):
         return {"train_loss": total, "action_loss": action, "termination_loss": ended}
 
     def _predict(self, network: SkillsNetwork, steps: SkillSteps, views: Views) -> tuple[Tensor, Tensor]:
-        """Returns displacements and termination logits; only where the object will be put is told, by what was done."""
+        """Returns displacements and termination logits; the position of the release is the demonstration's."""
         pixels, shift = self._seen(network, steps.trajectory, steps.timestep, views)
         targets, _ = network.maps(pixels, self._skills(steps))
         place = network.hand(self._pixels(network, steps.trajectory, steps.place_at)) + shift
@@ -279,24 +279,24 @@ class SkillsLearner(Learner[SkillsNetwork]):
         return [self.validation[part] for part in _parts(len(self.validation))]
 
     @torch.no_grad()
-    def _hands(self, network: SkillsNetwork) -> list[Tensor]:
-        """Returns places of the hand in all training frames, by trajectory: float32 (T, 2)."""
+    def _grippers(self, network: SkillsNetwork) -> list[Tensor]:
+        """Returns the gripper's keypoints in all training frames, by trajectory: float32 (T, 2)."""
 
         def found(item: int, at: Ints) -> Tensor:
-            hands: Tensor = network.hand(self._pixels(network, np.full(len(at), item), at))
-            return hands
+            grippers: Tensor = network.hand(self._pixels(network, np.full(len(at), item), at))
+            return grippers
 
-        if "hands" not in self._found:
-            self._found["hands"] = [
+        if "grippers" not in self._found:
+            self._found["grippers"] = [
                 torch.cat([found(item, np.arange(length)[part]) for part in _parts(length)])
                 for item, length in enumerate(self.demonstrations.lengths().tolist())
             ]
-        hands: list[Tensor] = self._found["hands"]
-        return hands
+        grippers: list[Tensor] = self._found["grippers"]
+        return grippers
 
     @torch.no_grad()
     def _targets(self, network: SkillsNetwork) -> Tensor:
-        """Returns places of the object at all training timesteps, float32 (N, 2)."""
+        """Returns the object's keypoints at all training timesteps, float32 (N, 2)."""
 
         def found(steps: SkillSteps) -> Tensor:
             pixels = self._pixels(network, steps.trajectory, steps.timestep)
@@ -307,8 +307,10 @@ class SkillsLearner(Learner[SkillsNetwork]):
         targets: Tensor = self._found["targets"]
         return targets
 
-    def _at(self, hands: Sequence[Tensor], trajectory: Ints, timestep: Ints) -> Tensor:
-        return torch.stack([hands[item][at] for item, at in zip(trajectory.tolist(), timestep.tolist(), strict=True)])
+    def _at(self, grippers: Sequence[Tensor], trajectory: Ints, timestep: Ints) -> Tensor:
+        return torch.stack(
+            [grippers[item][at] for item, at in zip(trajectory.tolist(), timestep.tolist(), strict=True)]
+        )
 
     def _executed(self, item: int, timestep: int) -> npt.NDArray[np.float32]:
         """Returns the sum of the actions before a timestep, float32 (A,)."""
@@ -324,7 +326,7 @@ class SkillsLearner(Learner[SkillsNetwork]):
         return self.demonstrations.frames_at(places, self.device)
 
     def _seen(self, network: SkillsNetwork, trajectory: Ints, timestep: Ints, views: Views) -> tuple[Tensor, Tensor]:
-        """Returns pixels of views, and by how much places moved in each, float32 (N, 2)."""
+        """Returns pixels of views, and by how much keypoints moved in each, float32 (N, 2)."""
         ((camera, frames),) = self._frames(trajectory, timestep).items()
         seen, moved = views.of(frames)
         return network.pixels({camera: seen}), moved
@@ -352,15 +354,15 @@ def relative_error(predicted: Tensor, target: Tensor) -> Tensor:
     return ((predicted - target).abs() / (1 + target.abs() / 2)).mean(dim=-1)
 
 
-def heat_map_cross_entropy(logits: Tensor, centres: Tensor, place: Tensor, *, width: Tensor) -> Tensor:
-    """Returns the cross-entropy of a heat map and a Gaussian around a place: float (N,).
+def heat_map_cross_entropy(logits: Tensor, centres: Tensor, keypoint: Tensor, *, width: Tensor) -> Tensor:
+    """Returns the cross-entropy of a heat map and a Gaussian around a keypoint: float (N,).
 
     Args:
         logits: Of cells, float (N, cells).
-        centres: Places of the cells, float (cells, 2).
-        place: float (N, 2).
+        centres: Positions of the cells, float (cells, 2).
+        keypoint: float (N, 2).
         width: Standard deviation along each axis, float (2,).
     """
-    offsets = (centres - place[:, None]) / width  # (N, cells, 2)
+    offsets = (centres - keypoint[:, None]) / width  # (N, cells, 2)
     target = (-offsets.square().sum(dim=2) / 2).softmax(dim=1)
     return -(target * logits.log_softmax(dim=1)).sum(dim=1)

@@ -1,6 +1,6 @@
 """The skill policies of section 2.4 as one network that takes a skill, with a termination head.
 
-A skill is seen as pick and place in the frame: where the hand is, where the object is, and where it will be put. The
+A skill is pick and place in the frame: keypoints of the gripper, of the object, and of where it will be put. The
 policy moves to the next waypoint of demonstrations, and not as they moved at each timestep.
 """
 
@@ -17,7 +17,7 @@ from freerein.learning.encoders.exposure import ExposureNormalisation
 from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
-from freerein_imitation.methods.skills.keypoints import Hand, ReluLinear, SkillHeatMaps
+from freerein_imitation.methods.skills.keypoints import GripperKeypoint, ReluLinear, SkillHeatMaps
 from freerein_imitation.model.torch_policy import PolicyNetwork
 
 GRIPPER = "gripper"
@@ -26,7 +26,7 @@ GRIPPER = "gripper"
 _CROP_FEATURES = 64
 _CONTEXT, _CONTEXT_FEATURES = 8, 24
 _OFFSET_GAIN = 5.0
-_PLACES = 8  # numbers: two offsets and two places
+_KEYPOINTS = 8  # numbers: two offsets and two keypoints
 _SPEED_QUANTILE = 0.95
 
 
@@ -55,28 +55,28 @@ class SkillsSpec(InputSpec):
             raise InvalidInput(
                 f"Skill policies see the frames of 1 camera; got {len(self.cameras)}.",
                 field="config.cameras",
-                hint="Name the one that sees hand and objects best.",
+                hint="Name the one that sees gripper and objects best.",
             )
         if self.action.choices:
             raise InvalidInput(
-                f"Skill policies need actions that displace a hand; got {self.action.choices} discrete choices.",
+                f"Skill policies need actions that displace a gripper; got {self.action.choices} discrete choices.",
                 field="dataset",
                 hint="Record continuous actions.",
             )
 
     @property
     def is_gripper(self) -> tuple[bool, ...]:
-        """Which numbers of an action move a gripper's fingers, and not the hand; none where they have no names."""
+        """Which numbers of an action move a gripper's fingers, not the gripper; none where they have no names."""
         names = self.action.names or ("",) * self.action.size
         return tuple(GRIPPER in name.lower() for name in names)
 
 
 class SkillsNetwork(PolicyNetwork):
-    """Hand keypoint, heat maps of a skill, and the next waypoint given both.
+    """Gripper keypoint, heat maps of a skill, and the next waypoint given both.
 
     Attributes:
-        hand: The hand's place and its gripper.
-        maps: Places of the object, and where the skill will put it.
+        hand: Keypoint and opening of the gripper; the name is that of stored models.
+        maps: Heat maps of the object, and of where the skill will put it.
     """
 
     spec: SkillsSpec
@@ -89,9 +89,9 @@ class SkillsNetwork(PolicyNetwork):
         self.spec = spec
         (camera,) = spec.cameras
         size = spec.action.size
-        self.hand = Hand(camera, is_gripper=spec.is_gripper)
+        self.hand = GripperKeypoint(camera, is_gripper=spec.is_gripper)
         self.maps = SkillHeatMaps(camera, skills=len(spec.skills))
-        known = _PLACES + self.hand.openings
+        known = _KEYPOINTS + self.hand.openings
         self.crop_layer = ReluLinear(self.hand.crop_size, _CROP_FEATURES)
         self.context_layer = ReluLinear(_CONTEXT * _CONTEXT * camera.channels, _CONTEXT_FEATURES)
         self.input_layer = ReluLinear(_CROP_FEATURES + _CONTEXT_FEATURES + known + size, spec.hidden_size)
@@ -109,7 +109,7 @@ class SkillsNetwork(PolicyNetwork):
 
     @torch.no_grad()
     def fit_normalisation(self, frames: FrameTensors, actions: Tensor) -> None:
-        """Sets mean image and deviation of pixels, and the speed of the hand.
+        """Sets mean image and deviation of pixels, and the speed of the gripper.
 
         Args:
             frames: Some training frames, uint8 (N, H, W, C).
@@ -133,20 +133,20 @@ class SkillsNetwork(PolicyNetwork):
         return (only.permute(0, 3, 1, 2).float() - self.mean_image) / self.pixel_std
 
     def forward(
-        self, pixels: Tensor, hand: Tensor, target: Tensor, place: Tensor, previous: Tensor
+        self, pixels: Tensor, gripper: Tensor, target: Tensor, place: Tensor, previous: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Returns the displacement to the next waypoint, in actions, float32 (N, A), and termination logits (N,).
 
         Args:
             pixels: float32 (N, C, H, W).
-            hand: Place of the hand, float32 (N, 2).
-            target: Place of the object, float32 (N, 2).
+            gripper: Keypoint of the gripper, float32 (N, 2).
+            target: Keypoint of the object, float32 (N, 2).
             place: Where the skill will put it, float32 (N, 2).
             previous: a_{t-1}, float32 (N, A); zeros for none.
         """
-        crop, context = self.hand.crop(pixels, hand), functional.adaptive_avg_pool2d(pixels, _CONTEXT).flatten(1)
-        offsets = _OFFSET_GAIN * torch.cat([target - hand, place - hand], dim=1)
-        known = torch.cat([offsets, 2 * hand, 2 * target, self.hand.opening(crop).detach()], dim=1)
+        crop, context = self.hand.crop(pixels, gripper), functional.adaptive_avg_pool2d(pixels, _CONTEXT).flatten(1)
+        offsets = _OFFSET_GAIN * torch.cat([target - gripper, place - gripper], dim=1)
+        known = torch.cat([offsets, 2 * gripper, 2 * target, self.hand.opening(crop).detach()], dim=1)
         features = [functional.relu(self.crop_layer(crop)), functional.relu(self.context_layer(context))]
         x = functional.relu(self.input_layer(torch.cat([*features, known, previous], dim=1)))
         x = functional.relu(self.hidden1(x))

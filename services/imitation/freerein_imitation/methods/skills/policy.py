@@ -7,7 +7,7 @@ from freerein_imitation.methods.skills.network import SkillsNetwork
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.torch_policy import StepInputs, StepOutputs, confidence
 
-_STATE = 3  # x and y of the chosen place, and 1 once it is chosen
+_STATE = 3  # x and y of the chosen goal position, and 1 once it is chosen
 
 
 class SkillsPolicy(SkillPolicy[SkillsNetwork]):

@@ -26,8 +26,8 @@ class SkillSteps:
         displacement: To the next waypoint, float32 (N, A).
         is_inside: Whether the timestep is in the segment, bool (N,).
         terminates: Whether the skill terminates, or has terminated, bool (N,).
-        object_at: Timestep at which the hand was, or is, where the object is, int64 (N,).
-        place_at: Timestep at which the hand released the object, int64 (N,).
+        object_at: Timestep at which the gripper was, or is, where the object is, int64 (N,).
+        place_at: Timestep at which the gripper released the object, int64 (N,).
     """
 
     trajectory: Ints

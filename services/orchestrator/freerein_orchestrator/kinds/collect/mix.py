@@ -104,7 +104,7 @@ class _Source:
     size: Size
 
     def handle(self, part: MixPart, policy: StoredPolicy | None) -> PolicyHandle | None:
-        """Returns what acts in a part; None for the task's random behaviour."""
+        """Returns the policy that acts in a part; None for the task's random behaviour."""
         if policy is None:
             return None
         handle = stored_policy(policy, self.task, stochastic=part.stochastic)
@@ -156,7 +156,7 @@ def _load(context: RunContext, parts: Sequence[MixPart]) -> list[StoredPolicy | 
 
 
 def _describe(policy: StoredPolicy | None) -> dict[str, Any]:
-    """Returns what a policy is and learned from, JSON; `learned_timesteps` are not among those recorded."""
+    """Returns a policy's description and supervision, JSON; `learned_timesteps` are not among those recorded."""
     if policy is None:
         return {"sha256": "", "reward": "", "supervision": "none", "learned_timesteps": 0}
     card = policy.card

@@ -5,7 +5,7 @@ iterations that student's own rollouts are added, with what the teachers would h
 fitted again.
 
     <folder>/rollouts/                the dataset while it is recorded; then it moves to `<data>/datasets/<name>`
-             rollouts/eye/            the first teacher's eye, where the student is to see by it
+             rollouts/eye/            the first teacher's object encoder, where the student is to see by it
              artifacts/dataset.json   its name, size and fingerprint, once it is complete
              parts/fit/               the last fit, as kind `fit`
              parts/fit-<i>/           those before; `<name>.<i>` are their datasets and models
@@ -28,8 +28,8 @@ from freerein.data import Dataset, dataset_path, save_teachers
 from freerein.data.folder_locks import temporary_folder
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning import model_files
-from freerein.learning.actor_critic import shared_eye
-from freerein.learning.actor_critic.eye import EYE
+from freerein.learning.actor_critic import shared_object_encoder
+from freerein.learning.actor_critic.object_encoder import OBJECT_ENCODER
 from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.types.common import ModelRef, check_name
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_teachers
@@ -100,9 +100,9 @@ class DistillConfig:
         fit.check_steps(self.config)
 
     @property
-    def needs_eye(self) -> bool:
-        """Whether the student sees by its first teacher's eye."""
-        return bool(self.config.get("encoder") == EYE)
+    def needs_object_encoder(self) -> bool:
+        """Whether the student sees by its first teacher's object encoder."""
+        return bool(self.config.get("encoder") == OBJECT_ENCODER)
 
     def fit(self, iteration: int) -> FitRunConfig:
         """Returns the fit of the student of an iteration."""
@@ -152,8 +152,8 @@ def run(context: RunContext, config: DistillConfig) -> None:
             record_rollouts(recording, policies, plan, students=students)
             cards = [{name: policy.card.get(name) for name in _TEACHER_CARD} for policy in policies]
             save_teachers(context.folder / ROLLOUTS, cards)
-            if config.needs_eye:
-                _save_eye(context, policies[0])
+            if config.needs_object_encoder:
+                _save_object_encoder(context, policies[0])
             if iteration < config.dagger_iterations:
                 _publish_copy(context, config.fit(iteration).dataset)
                 students.append(_fit(context, config, iteration))
@@ -203,8 +203,8 @@ def _check_teachers(config: DistillConfig, policies: Sequence[StoredPolicy]) -> 
     check_teachers(
         [PolicyInterface.of_stored(policy) for policy in policies], student_cameras=config.config.get("cameras", [])
     )
-    if config.needs_eye and policies[0].network.eye is None:
-        raise shared_eye.no_eye()
+    if config.needs_object_encoder and policies[0].network.eye is None:
+        raise shared_object_encoder.no_object_encoder()
     rewards = [policy.card.get("reward") for policy in policies]
     if config.keep == "rewarded" and set(rewards) != {"learned"}:
         raise InvalidInput(
@@ -215,11 +215,12 @@ def _check_teachers(config: DistillConfig, policies: Sequence[StoredPolicy]) -> 
         )
 
 
-def _save_eye(context: RunContext, teacher: StoredPolicy) -> None:
-    """Puts a teacher's eye into the dataset, with the phrases that its reward model knows."""
+def _save_object_encoder(context: RunContext, teacher: StoredPolicy) -> None:
+    """Puts a teacher's object encoder into the dataset, with the phrases that its reward model knows."""
     card = model_files.read_card(context.reward_models.folder(ModelRef(**teacher.card["eye"])))
     phrases = tuple(map(str, card["spec"]["phrases"]))
-    shared_eye.save_eye(teacher, phrases=phrases, folder=context.folder / ROLLOUTS / shared_eye.FOLDER)
+    folder = context.folder / ROLLOUTS / shared_object_encoder.FOLDER
+    shared_object_encoder.save_object_encoder(teacher, phrases=phrases, folder=folder)
 
 
 def _check_names(context: RunContext, config: DistillConfig) -> None:

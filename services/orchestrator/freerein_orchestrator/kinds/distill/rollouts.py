@@ -1,7 +1,7 @@
 """Recording rollouts as a dataset, each with the goal text of one teacher.
 
-In the first iteration the teachers act. In later ones a student acts, told the goal text, and what is recorded is what
-the teacher would have done (DAgger, Ross et al. 2011): the student learns to return from where its own errors lead.
+In the first iteration the teachers act. In later ones a student acts, conditioned on the goal text, and the recorded
+actions are the teacher's (DAgger, Ross et al. 2011): the student learns to return from where its own errors lead.
 
 Where all teachers learned from a learned reward, its model judges which frames show the goal: the student learns to say
 so.

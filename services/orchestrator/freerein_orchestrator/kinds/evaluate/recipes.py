@@ -177,7 +177,7 @@ class _AttemptChecker:
 
     Attributes:
         truth: The privileged session.
-        predicates: What is checked: `completed`, `lifted`.
+        predicates: Names of the checked predicates: `completed`, `lifted`.
         max_steps: Steps per skill of a policy that does not say which skill it executes.
     """
 

@@ -32,7 +32,7 @@ class TrialRecord:
         episodes: Number of trials in all.
 
     Attributes:
-        subject: What is evaluated; empty before the first round.
+        subject: The evaluated policy or model; empty before the first round.
     """
 
     def __init__(self, context: RunContext, episodes: int) -> None:

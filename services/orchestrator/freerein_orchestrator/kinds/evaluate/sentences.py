@@ -1,9 +1,9 @@
 """Form `sentences`: evaluates a language-conditioned policy on every goal text in every task.
 
-All goal texts are told in episodes from the same starts. The word-blind baseline is the one text that, told in all
-tasks, earns most: what a policy earns that ignores its goal. The confusion matrix says what was done when each text was
-told: the tasks whose goal held at the end. Where the policy says whether its goal is reached, its confidence is
-compared with whether the goal held, in each task told its own text.
+Episodes of all goal texts have the same starts. The word-blind baseline is the highest return of one text in all
+tasks: an upper bound for policies that ignore their goal. The confusion matrix has, for each text, the tasks whose goal
+held at the end. Where the policy says whether its goal is reached, its confidence is compared with whether the goal
+held, in each task conditioned on its own text.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ class SentencesConfig(PolicyConfig):
     Attributes:
         form: The form.
         other_tasks: More tasks, each with a goal text of its own.
-        other_texts: Goal texts that the policy is told beside those of the tasks.
+        other_texts: Goal texts that the policy is conditioned on beside those of the tasks.
     """
 
     form: Literal["sentences"] = "sentences"
@@ -93,15 +93,15 @@ class SentencesEvaluation:
         }
 
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
-        """Returns trials `first` to `first + count`: each holds return and success in each task, told each text."""
+        """Returns trials `first` to `first + count`: each holds return and success by task and text."""
         episodes = [[self._episodes(task, text, first, count) for text in self._texts] for task in self._tasks]
         trials = []
         for trial in range(count):
-            told = [[each[trial] for each in texts] for texts in episodes]
-            returns = np.array([[float(each.rewards.sum()) for each in texts] for texts in told])
-            successes = [[each.success for each in texts] for texts in told]
+            ended = [[each[trial] for each in texts] for texts in episodes]
+            returns = np.array([[float(each.rewards.sum()) for each in texts] for texts in ended])
+            successes = [[each.success for each in texts] for texts in ended]
             own = float(self._own_texts(returns).mean())
-            flags = [judged(each[self._texts.index(text)]) for each, text in zip(told, self._own, strict=True)]
+            flags = [judged(each[self._texts.index(text)]) for each, text in zip(ended, self._own, strict=True)]
             confidence, holds = (list(chain.from_iterable(each)) for each in zip(*flags, strict=True))
             values = {
                 "returns": returns.tolist(),
@@ -110,7 +110,7 @@ class SentencesEvaluation:
                 "confidence": confidence,
                 "holds": holds,
             }
-            trials.append(Trial(values, {FILMED: told[0][0].actions}))
+            trials.append(Trial(values, {FILMED: ended[0][0].actions}))
         return trials
 
     def _episodes(self, task: "_Task", text: str, first: int, count: int) -> Sequence[Episode]:
@@ -120,7 +120,7 @@ class SentencesEvaluation:
         return run_episodes(setup.sim, replace(request, task=task.name), policy, setup.interrupt, goals=goals)
 
     def _own_texts(self, values: Values) -> Values:
-        """Returns the values of each task told its own text: (tasks, ...) of (tasks, texts, ...)."""
+        """Returns the values of each task with its own text: (tasks, ...) of (tasks, texts, ...)."""
         return np.stack([values[task, self._texts.index(text)] for task, text in enumerate(self._own)])
 
     def result(self, trials: Sequence[Trial]) -> Result:
@@ -140,24 +140,24 @@ class SentencesEvaluation:
             **told_is_done(successes, [self._texts.index(text) for text in self._own], seed=seed),
             **flag_figures(*(list(chain.from_iterable(each.values[name] for each in trials)) for name in _FLAGS)),
         }
-        told = [
+        by_task_and_text = [
             {"task": task.name, "goal_text": text, "return_mean": asdict(mean_figure(returns[row, column], seed=seed))}
             for row, task in enumerate(self._tasks)
             for column, text in enumerate(self._texts)
         ]
         confusion = confusion_matrix(successes, tasks=[task.name for task in self._tasks], texts=self._texts)
-        details = {"word_blind_text": self._texts[best], "told": told, "confusion": confusion}
+        details = {"word_blind_text": self._texts[best], "told": by_task_and_text, "confusion": confusion}
         film = self._setup.film(0, trials[0], self._tasks[0].policy)
         return Result(figures, {"episodes": returns.size, "trials": len(trials)}, details, film=film)
 
 
 def told_is_done(successes: Values, own: Sequence[int], *, seed: int) -> dict[str, Figure]:
-    """Returns, of the episodes told a task's own text that end in the goal of any task, the share in that task's goal.
+    """Returns `told_is_done`: of episodes with a task's own text that end in any task's goal, the share in its own.
 
     There is no figure where no goal was reached.
 
     Args:
-        successes: float64 (tasks, texts, N), 1 where the goal held at the end of an episode of a task, told a text.
+        successes: float64 (tasks, texts, N), 1 where the goal held at the end of an episode of a task with a text.
         own: For each task, which text is its own.
         seed: Seed of the interval.
     """
@@ -169,7 +169,7 @@ def told_is_done(successes: Values, own: Sequence[int], *, seed: int) -> dict[st
 
 
 def confusion_matrix(successes: Values, *, tasks: Sequence[str], texts: Sequence[str]) -> list[dict[str, Any]]:
-    """Returns for each text how often, told it, the goal of each task held at the end, and how often none did.
+    """Returns for each text how often the goal of each task held at the end of its episodes, and how often none did.
 
     Args:
         successes: As of `told_is_done`.

@@ -8,13 +8,13 @@ import torch
 from freerein.learning.augmentation import CameraTakes
 from freerein_reward.methods.criterion_captions.captions import HIDDEN, SHOWN, UNSURE
 from freerein_reward.methods.criterion_captions.distractors import add_distractors
-from freerein_reward.methods.criterion_captions.place_dataset import PlaceDataset
+from freerein_reward.methods.criterion_captions.keypoint_dataset import KeypointDataset
 
 
 def augment_moments(
-    moments: PlaceDataset, strength: float, *, distractors: float, generator: torch.Generator
-) -> PlaceDataset:
-    """Returns moments whose frames are augmented, and whose places moved with them; all views of a moment alike.
+    moments: KeypointDataset, strength: float, *, distractors: float, generator: torch.Generator
+) -> KeypointDataset:
+    """Returns moments whose frames are augmented, and whose keypoints moved with them; all views of a moment alike.
 
     Args:
         moments: The moments.
@@ -26,20 +26,20 @@ def augment_moments(
         return moments
     height, width = moments.frames[0].shape[1:3]
     takes = CameraTakes.draw(len(moments), (height, width), strength=strength, generator=generator)
-    places, may_be_shown = torch.from_numpy(moments.places), torch.from_numpy(moments.shown != HIDDEN)
+    keypoints, may_be_shown = torch.from_numpy(moments.keypoints), torch.from_numpy(moments.shown != HIDDEN)
     frames = []
     for camera, view in enumerate(moments.frames):
         clearance = torch.from_numpy(moments.layout.unit(camera) / 2).float()
         strewn = add_distractors(
             torch.from_numpy(view),
-            places[:, camera],
+            keypoints[:, camera],
             may_be_shown[:, camera],
             clearance=clearance,
             strength=distractors,
             generator=generator,
         )
         frames.append(takes.of(strewn, generator).numpy())
-    moved = moments.places - takes.offsets.flip(1).numpy()[:, None, None] / np.array([width, height])
+    moved = moments.keypoints - takes.offsets.flip(1).numpy()[:, None, None] / np.array([width, height])
     is_outside = ((moved < 0) | (moved > 1)).any(axis=3) & (moments.shown == SHOWN)
     shown = np.where(is_outside, UNSURE, moments.shown).astype(np.int8)
-    return replace(moments, frames=tuple(frames), places=moved.astype(np.float32), shown=shown)
+    return replace(moments, frames=tuple(frames), keypoints=moved.astype(np.float32), shown=shown)

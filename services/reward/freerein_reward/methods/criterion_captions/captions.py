@@ -1,4 +1,4 @@
-"""Which captions hold of images, by the criteria of table 4.1 at the places where nouns were found."""
+"""Labels of captions of images, by the criteria of table 4.1 on the keypoints of nouns."""
 
 from collections.abc import Iterable
 from itertools import permutations
@@ -51,7 +51,7 @@ def possible_captions(tuples: npt.NDArray[np.int64], views: Iterable[View]) -> n
 
 
 def label_captions(
-    places: npt.NDArray[np.floating],
+    keypoints: npt.NDArray[np.floating],
     shown: Labels,
     tuples: npt.NDArray[np.int64],
     *,
@@ -64,13 +64,13 @@ def label_captions(
     shown. What no view shows is missing.
 
     Args:
-        places: float (N, views, P, 2), x and y in object widths, in the order of `View`.
+        keypoints: float (N, views, P, 2), x and y in object widths, in the order of `View`.
         shown: int8 (N, views, P), `SHOWN`, `HIDDEN` or `UNSURE`; `UNSURE` everywhere in views that there are not.
         tuples: Numbers of the phrases, int64 (T, `MAX_NOUNS`), as `phrase_tuples`.
         views: The views that there are.
         tolerance: Least margin of a sure answer, in object widths.
     """
-    labels = np.full((len(places), len(tuples), len(STATEMENTS)), UNKNOWN, np.int8)
+    labels = np.full((len(keypoints), len(tuples), len(STATEMENTS)), UNKNOWN, np.int8)
     sizes = np.where(tuples[:, -1] == NO_NOUN, MAX_NOUNS - 1, MAX_NOUNS)
     seen = list(views)
     is_gone = (shown[:, seen] == HIDDEN).all(axis=1)  # (N, P)
@@ -81,7 +81,7 @@ def label_captions(
         any_gone, all_there = is_gone[:, nouns].any(axis=2), is_there[:, nouns].all(axis=2)  # (N, t)
         labels[:, of_size, STATEMENTS.index((Claim.MISSING, ""))] = _decided(any_gone, all_there)
         for criterion in (each for each in CRITERIA.values() if each.nouns == size and each.view in seen):
-            holds, fails = _judge(criterion, places[:, criterion.view], shown[:, criterion.view], nouns, tolerance)
+            holds, fails = _judge(criterion, keypoints[:, criterion.view], shown[:, criterion.view], nouns, tolerance)
             is_hidden = (shown[:, criterion.view][:, nouns] == HIDDEN).any(axis=2)
             labels[:, of_size, STATEMENTS.index((Claim.HOLDS, criterion.name))] = _decided(holds, fails | is_hidden)
             labels[:, of_size, STATEMENTS.index((Claim.FAILS, criterion.name))] = _decided(fails, holds | any_gone)
@@ -90,13 +90,13 @@ def label_captions(
 
 def _judge(
     criterion: Criterion,
-    places: npt.NDArray[np.floating],
+    keypoints: npt.NDArray[np.floating],
     shown: Labels,
     nouns: npt.NDArray[np.int64],
     tolerance: float,
 ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Returns where a criterion surely holds, and surely fails, of nouns (t, size) at places (N, P, 2): bool (N, t)."""
-    margin = criterion.margin(places[:, nouns])
+    """Returns where a criterion surely holds, and surely fails, of nouns (t, size): bool (N, t) each."""
+    margin = criterion.margin(keypoints[:, nouns])
     are_shown = (shown[:, nouns] == SHOWN).all(axis=2)
     return are_shown & (margin > tolerance), are_shown & (margin < -tolerance)
 

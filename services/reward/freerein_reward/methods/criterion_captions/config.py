@@ -16,11 +16,11 @@ class CriterionConfig(DatasetFitConfig):
             default `cameras` in this order. One camera may be several views, where objects move in a plane.
         object_widths: Object width as a fraction of the frame's width, one for all views or one for each.
         min_presence: Presence probability from which a phrase appears in captions; below 1 minus it, it is missing.
-        tolerance: Where the places miss a criterion's limits by less than this, in object widths, it is not learned.
+        tolerance: Where the keypoints miss a criterion's limits by less than this, in object widths, it is not learned.
         batch_size: Moments per optimiser step.
         augmentation: Strength of the camera augmentation; 0 for none.
         distractors: Strength of the distractors, shapes that no phrase names; 0 for none.
-        hidden_size: Units of each of the two hidden layers that read places.
+        hidden_size: Units of each of the two hidden layers that read keypoints.
         embedding_dim: Dimension of a caption's embedding.
     """
 

@@ -62,10 +62,10 @@ class CriterionModel:
         embeddings = network.embed_phrases(phrases)
         for part in torch.split(torch.tensor(images)[:, None], _MOMENTS_AT_ONCE):  # may be read-only
             parts.append(network.locate(network.embed_cells(part.to(network.device)), embeddings))
-        logits, places, presence = (torch.cat(each)[:, 0].cpu() for each in zip(*parts, strict=True))
+        logits, keypoints, presence = (torch.cat(each)[:, 0].cpu() for each in zip(*parts, strict=True))
         cells = logits[..., :-1].softmax(dim=2).reshape(*presence.shape, *self._cells[1:3])  # (N, P, h, w)
         heatmaps = cells / cells.amax(dim=(2, 3), keepdim=True)
-        x, y = places.double().unbind(dim=2)
+        x, y = keypoints.double().unbind(dim=2)
         heat = heat_of_presence(presence.double().numpy())
         known = np.array([self.network.grammar.phrase(each) is not None for each in phrases], np.float32)
         return PhraseLocations(heatmaps.numpy(), x.numpy(), y.numpy(), heat, known)

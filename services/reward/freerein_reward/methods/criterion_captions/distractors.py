@@ -1,6 +1,6 @@
 """Distractors: shapes in front of a scene that no phrase names, some in the colours of the objects that phrases name.
 
-Unlike those of `freerein.learning.augmentation`, they cover no object, so that places and captions stay true. Images
+Unlike those of `freerein.learning.augmentation`, they cover no object, so that keypoints and captions stay true. Images
 say nothing of what a phrase does not name: a red ball beside a red block is as red as the block.
 """
 
@@ -23,26 +23,32 @@ there, both in half sides."""
 
 
 def add_distractors(
-    frames: Tensor, places: Tensor, is_kept: Tensor, *, clearance: Tensor, strength: float, generator: torch.Generator
+    frames: Tensor,
+    keypoints: Tensor,
+    is_kept: Tensor,
+    *,
+    clearance: Tensor,
+    strength: float,
+    generator: torch.Generator,
 ) -> Tensor:
     """Returns frames with up to three ellipses and rectangles, each of one colour, half of the ellipses shaded.
 
     Args:
         frames: uint8 (N, H, W, 3).
-        places: float (N, P, 2), x and y of things as fractions; those of `is_kept` are not covered.
+        keypoints: float (N, P, 2), x and y of things as fractions; those of `is_kept` are not covered.
         is_kept: bool (N, P).
         clearance: Half the size of a thing as fractions of width and height, float (2,).
         strength: 0 for none, 1 for a share of 0.7 of the frames for each.
         generator: Source of all draws, on the CPU.
     """
     count, height, width, _ = frames.shape
-    palette = colours_at(frames, places, is_kept)
+    palette = colours_at(frames, keypoints, is_kept)
     across, down = (torch.arange(width) + 0.5) / width, (torch.arange(height) + 0.5) / height
     for _ in range(_MOST):
         centres, bright = torch.rand((2, count, 2), generator=generator)
         is_round, is_own, is_shaded, is_wanted = _coins(count, strength, generator)
         sides = _sides(is_round, 2 * clearance, generator)
-        covers = ((places - centres[:, None]).abs() < (sides / 2)[:, None] + clearance).all(dim=2) & is_kept
+        covers = ((keypoints - centres[:, None]).abs() < (sides / 2)[:, None] + clearance).all(dim=2) & is_kept
         is_there = is_wanted & ~covers.any(dim=1)
         colours = _colours(count, palette, is_round & is_own, generator)
         x = (across - centres[:, 0, None]) / (sides[:, 0, None] / 2)  # (N, W), in half sides
@@ -58,10 +64,10 @@ def add_distractors(
     return frames
 
 
-def colours_at(frames: Tensor, places: Tensor, is_kept: Tensor) -> Tensor:
-    """Returns the colours of things at places, float32 (K, 3); arguments are as of `add_distractors`."""
+def colours_at(frames: Tensor, keypoints: Tensor, is_kept: Tensor) -> Tensor:
+    """Returns the colours of things at keypoints, float32 (K, 3); arguments are as of `add_distractors`."""
     sides = torch.tensor([frames.shape[2], frames.shape[1]])
-    columns, rows = (places * sides).long().clamp(min=0).minimum(sides - 1).unbind(dim=2)  # (N, P)
+    columns, rows = (keypoints * sides).long().clamp(min=0).minimum(sides - 1).unbind(dim=2)  # (N, P)
     numbers = torch.arange(len(frames))[:, None].expand_as(rows)
     return frames[numbers[is_kept], rows[is_kept], columns[is_kept]].float()
 

@@ -6,13 +6,13 @@ import torch
 from freerein.criterion_text import Claim
 from freerein_reward.methods.criterion_captions.captions import FALSE, TRUE, sampled_tuples
 from freerein_reward.methods.criterion_captions.decisions import goal_scores, rewards
+from freerein_reward.methods.criterion_captions.keypoint_dataset import KeypointDataset
 from freerein_reward.methods.criterion_captions.losses import caption_scores, locate_all, stacked
 from freerein_reward.methods.criterion_captions.network import STATEMENTS, CriterionNetwork
-from freerein_reward.methods.criterion_captions.place_dataset import PlaceDataset
 
 
 @torch.no_grad()
-def evaluate_criteria(network: CriterionNetwork, dataset: PlaceDataset, *, tolerance: float) -> dict[str, float]:
+def evaluate_criteria(network: CriterionNetwork, dataset: KeypointDataset, *, tolerance: float) -> dict[str, float]:
     """Returns the balanced accuracy of rewards by criterion, and the share of absent goals that are rewarded.
 
     Where all images say the same of a criterion, it has none. Captions come from the grounding model, so that this is

@@ -2,7 +2,7 @@
 
 The probability of the cells, and that the phrase is nowhere, is a softmax, as of CLIP's features without pooling
 (MaskCLIP: Zhou et al., "Extract free dense labels from CLIP", 2022). No channel belongs to a phrase: one that no fit
-has seen has a place, too, as far as text and image encoder know what it names.
+has seen has a keypoint, too, as far as text and image encoder know what it names.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 _RADIUS = 1
-"""Cells around the most probable one whose mean is the place: an object's own, where another is like it."""
+"""Cells around the most probable one whose mean is the keypoint: an object's own, where another is like it."""
 
 INITIAL_LOGIT = 8.0
 """Logit, at first, of a heat at which the grounding model says that presence is 1/2, and of being nowhere."""
@@ -23,12 +23,12 @@ class Located(NamedTuple):
 
     Attributes:
         logits: float32 (N, K, S + 1), of each of S cells, row by row, and of nowhere.
-        places: float32 (N, K, 2), x and y as fractions of width and height.
+        keypoints: float32 (N, K, 2), x and y as fractions of width and height.
         presence: float32 (N, K), probability of not being nowhere.
     """
 
     logits: Tensor
-    places: Tensor
+    keypoints: Tensor
     presence: Tensor
 
 
@@ -58,27 +58,27 @@ class Locator(nn.Module):
         nowhere = self.nowhere.expand(count, 1, len(phrases))
         logits = torch.cat([heat, nowhere], dim=1).transpose(1, 2)  # (N, K, S + 1)
         probability = logits.softmax(dim=2)
-        places = _centroids(probability[..., :-1].reshape(count, -1, height, width))
-        return Located(logits, places, 1 - probability[..., -1])
+        keypoints = _centroids(probability[..., :-1].reshape(count, -1, height, width))
+        return Located(logits, keypoints, 1 - probability[..., -1])
 
 
-def target_distribution(places: Tensor, *, height: int, width: int) -> Tensor:
-    """Returns the distribution over cells whose mean is each place, float32 (..., height * width).
+def target_distribution(keypoints: Tensor, *, height: int, width: int) -> Tensor:
+    """Returns the distribution over cells whose mean is each keypoint, float32 (..., height * width).
 
-    Each place, float (..., 2), x and y as fractions, is shared among the four nearest cells, as in bilinear
+    Each keypoint, float (..., 2), x and y as fractions, is shared among the four nearest cells, as in bilinear
     interpolation.
     """
-    sides = torch.tensor([width, height], device=places.device)
-    at = (places * sides - 0.5).clamp(min=0).minimum(sides - 1.0)  # (..., 2), in cells
+    sides = torch.tensor([width, height], device=keypoints.device)
+    at = (keypoints * sides - 0.5).clamp(min=0).minimum(sides - 1.0)  # (..., 2), in cells
     columns, rows = (
-        (1 - (at[..., axis, None] - torch.arange(side, device=places.device)).abs()).clamp(min=0)
+        (1 - (at[..., axis, None] - torch.arange(side, device=keypoints.device)).abs()).clamp(min=0)
         for axis, side in enumerate((width, height))
     )
     return (rows[..., :, None] * columns[..., None, :]).flatten(start_dim=-2)
 
 
 def _centroids(probability: Tensor) -> Tensor:
-    """Returns the mean place near the most probable cell, (N, K, 2), of probabilities of cells, (N, K, h, w)."""
+    """Returns the mean position near the most probable cell, (N, K, 2), of probabilities of cells, (N, K, h, w)."""
     height, width = probability.shape[2:]
     smooth = functional.avg_pool2d(probability, 3, stride=1, padding=1)
     at = smooth.flatten(start_dim=2).argmax(dim=2)  # (N, K)

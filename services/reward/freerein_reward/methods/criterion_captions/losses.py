@@ -1,14 +1,14 @@
-"""The learner of a model of criteria (section 4.2), on places and captions of the grounding model.
+"""The learner of a model of criteria (section 4.2), on keypoints and captions of the grounding model.
 
 Five losses:
 
-- of places: the cross-entropy of the cell where the grounding model found a phrase, or of nowhere. This is the
+- of keypoints: the cross-entropy of the cell where the grounding model found a phrase, or of nowhere. This is the
   distillation from the old model that section 4.2 speaks of.
 - of captions: for each image and each caption whether it holds, sigmoid by sigmoid (Zhai et al., "Sigmoid loss for
   language image pre-training", 2023). Several captions hold of an image; those that are not sure are left out.
-- of places of all names that the grounding model knows, in other colours: see `recoloured_moments`.
-- of captions of imagined places, of which there are as many as one likes: see `imagined_places`.
-- from the first augmented step on, for other views of the same moments: of places, which move with the frame, and of
+- of keypoints of all names that the grounding model knows, in other colours: see `recoloured_moments`.
+- of captions of imagined keypoints, of which there are as many as one likes: see `imagined_keypoints`.
+- from the first augmented step on, for other views of the same moments: of keypoints, which move with the frame, and of
   captions, which are to be scored as on the frames as they are.
 """
 
@@ -39,10 +39,10 @@ from freerein_reward.methods.criterion_captions.captions import (
 )
 from freerein_reward.methods.criterion_captions.config import CriterionConfig
 from freerein_reward.methods.criterion_captions.decisions import answer_confidence
-from freerein_reward.methods.criterion_captions.imagined_places import imagine_places
+from freerein_reward.methods.criterion_captions.imagined_keypoints import imagine_keypoints
+from freerein_reward.methods.criterion_captions.keypoint_dataset import KeypointDataset
 from freerein_reward.methods.criterion_captions.locator import INITIAL_LOGIT, Located, target_distribution
 from freerein_reward.methods.criterion_captions.network import MAX_NOUNS, CriterionNetwork
-from freerein_reward.methods.criterion_captions.place_dataset import PlaceDataset
 from freerein_reward.methods.criterion_captions.recoloured_moments import recolour_moments
 from freerein_reward.methods.criterion_captions.spec import CriterionSpec
 from freerein_reward.model import GradCamModel, channels_last
@@ -54,7 +54,7 @@ _RECOLOURED = 4
 """One moment in so many is seen in other colours, too."""
 
 _IMAGINED = 256
-"""Scenes of imagined places per optimiser step."""
+"""Scenes of imagined keypoints per optimiser step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +67,8 @@ class CriterionLearner(Learner[CriterionNetwork]):
 
     config: CriterionConfig
     spec: CriterionSpec
-    training: PlaceDataset
-    validation: PlaceDataset
+    training: KeypointDataset
+    validation: KeypointDataset
     grounding: GradCamModel
     grounding_version: str
     fingerprint: str
@@ -99,10 +99,10 @@ class CriterionLearner(Learner[CriterionNetwork]):
         located = locate_all(state.network, stacked(batch), self.device)
         scores = caption_scores(state.network, located, chosen)
         captions = caption_loss(scores, self._labels(batch, chosen)) + self._imagined_loss(state)
-        places = place_loss(located, batch)
+        keypoints = keypoint_loss(located, batch)
         strength = delayed(self.config.augmentation, step=state.step, steps=self.config.steps)
         names = self._name_loss(state, batch.subset(np.arange(max(1, len(batch) // _RECOLOURED))), strength)
-        losses = {"captions": captions, "places": places, "names": names}
+        losses = {"captions": captions, "places": keypoints, "names": names}
         augmented = captions.new_zeros(())
         if strength:
             seen = self._augment(batch, strength, state.generator)
@@ -110,12 +110,12 @@ class CriterionLearner(Learner[CriterionNetwork]):
             rescored = caption_scores(state.network, relocated, chosen)
             said = torch.from_numpy(possible_captions(chosen, batch.layout.views)).to(self.device)
             agreed = agreement(_binary(rescored[:, said]), _binary(scores[:, said]))
-            augmented = place_loss(relocated, seen) + agreed
-        return {"train_loss": captions + places + names + augmented, **losses, "augmented": augmented}
+            augmented = keypoint_loss(relocated, seen) + agreed
+        return {"train_loss": captions + keypoints + names + augmented, **losses, "augmented": augmented}
 
     @torch.no_grad()
     def evaluate(self, state: State) -> float:
-        """Returns the losses of places and captions of the validation moments, as they are and augmented."""
+        """Returns the losses of keypoints and captions of the validation moments, as they are and augmented."""
         generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
         seen = [self.validation, *([self._augment(self.validation, strength, generator)] if strength else [])]
         labels = self._labels(self.validation, self.tuples)
@@ -123,7 +123,7 @@ class CriterionLearner(Learner[CriterionNetwork]):
         for each in seen:
             located = locate_all(state.network, stacked(each), self.device)
             scores = caption_scores(state.network, located, self.tuples)
-            losses.append(place_loss(located, each) + caption_loss(scores, labels))
+            losses.append(keypoint_loss(located, each) + caption_loss(scores, labels))
         return torch.stack(losses).mean().item()
 
     @torch.no_grad()
@@ -144,8 +144,8 @@ class CriterionLearner(Learner[CriterionNetwork]):
             augmented=self.config.augmentation > 0,
         )
 
-    def _name_loss(self, state: State, batch: PlaceDataset, strength: float) -> Tensor:
-        """Returns the loss of the places of all names that the grounding model knows, in moments of other colours."""
+    def _name_loss(self, state: State, batch: KeypointDataset, strength: float) -> Tensor:
+        """Returns the loss of keypoints of all names that the grounding model knows, in moments of other colours."""
         names = [f"a {name} thing" for name in self.grounding.names]
         if not names:
             return torch.zeros((), device=self.device)
@@ -154,24 +154,24 @@ class CriterionLearner(Learner[CriterionNetwork]):
         turned = self._augment(turned, strength, generator)
         noun = words(self.spec.phrases[state.step % len(self.spec.phrases)])[-1]
         phrases = [f"a {name} {noun}" for name in self.grounding.names]
-        return place_loss(locate_all(state.network, stacked(turned), self.device, phrases), turned)
+        return keypoint_loss(locate_all(state.network, stacked(turned), self.device, phrases), turned)
 
     def _imagined_loss(self, state: State) -> Tensor:
-        """Returns the loss of captions of imagined places."""
+        """Returns the loss of captions of imagined keypoints."""
         tuples = phrase_tuples(MAX_NOUNS)
-        imagined = imagine_places(_IMAGINED, self.training.layout, state.rng())
-        scenes = replace(self.training, frames=(), places=imagined.places, shown=imagined.shown)
-        places, presence = (torch.from_numpy(each).to(self.device) for each in imagined[:2])
-        return caption_loss(embedded_scores(state.network, places, presence, tuples), self._labels(scenes, tuples))
+        imagined = imagine_keypoints(_IMAGINED, self.training.layout, state.rng())
+        scenes = replace(self.training, frames=(), keypoints=imagined.keypoints, shown=imagined.shown)
+        keypoints, presence = (torch.from_numpy(each).to(self.device) for each in imagined[:2])
+        return caption_loss(embedded_scores(state.network, keypoints, presence, tuples), self._labels(scenes, tuples))
 
-    def _labels(self, batch: PlaceDataset, tuples: npt.NDArray[np.int64]) -> Tensor:
+    def _labels(self, batch: KeypointDataset, tuples: npt.NDArray[np.int64]) -> Tensor:
         labels = batch.captions(tuples, tolerance=self.config.tolerance)
         return torch.from_numpy(labels).to(self.device)
 
-    def _augment(self, batch: PlaceDataset, strength: float, generator: torch.Generator) -> PlaceDataset:
+    def _augment(self, batch: KeypointDataset, strength: float, generator: torch.Generator) -> KeypointDataset:
         return augment_moments(batch, strength, distractors=self.config.distractors, generator=generator)
 
-    def _mirror(self, batch: PlaceDataset, state: State) -> PlaceDataset:
+    def _mirror(self, batch: KeypointDataset, state: State) -> KeypointDataset:
         """Returns the batch with half of the moments mirrored, where that shows possible scenes."""
         if not batch.layout.is_mirrored:
             return batch
@@ -198,7 +198,7 @@ def init_from_grounding(network: CriterionNetwork, grounding: GradCamModel) -> N
     network.eval()
 
 
-def stacked(dataset: PlaceDataset) -> Tensor:
+def stacked(dataset: KeypointDataset) -> Tensor:
     """Returns the frames of all cameras, uint8 (N, V, H, W, 3)."""
     return torch.from_numpy(np.stack(dataset.frames, axis=1))
 
@@ -214,14 +214,14 @@ def locate_all(network: CriterionNetwork, views: Tensor, device: torch.device, p
 
 def caption_scores(network: CriterionNetwork, located: Located, tuples: npt.NDArray[np.int64]) -> Tensor:
     """Returns the scaled similarity of images and captions, float32 (N, T, statements), of tuples int64 (T, 3)."""
-    return embedded_scores(network, located.places, located.presence, tuples)
+    return embedded_scores(network, located.keypoints, located.presence, tuples)
 
 
 def embedded_scores(
-    network: CriterionNetwork, places: Tensor, presence: Tensor, tuples: npt.NDArray[np.int64]
+    network: CriterionNetwork, keypoints: Tensor, presence: Tensor, tuples: npt.NDArray[np.int64]
 ) -> Tensor:
-    """Returns `caption_scores` of places (N, V, K, 2) and presence (N, V, K)."""
-    seen = network.embed_places(places, presence, torch.from_numpy(tuples).to(network.device))
+    """Returns `caption_scores` of keypoints (N, V, K, 2) and presence (N, V, K)."""
+    seen = network.embed_keypoints(keypoints, presence, torch.from_numpy(tuples).to(network.device))
     scores: Tensor = network.temperature(seen @ network.embed_statements().T)
     return scores
 
@@ -243,11 +243,11 @@ def caption_loss(scores: Tensor, labels: Tensor) -> Tensor:
     return torch.stack(kinds).mean()
 
 
-def place_loss(located: Located, dataset: PlaceDataset) -> Tensor:
+def keypoint_loss(located: Located, dataset: KeypointDataset) -> Tensor:
     """Returns the mean cross-entropy of the cell of each phrase, or of nowhere, over phrases that are sure."""
     device, side = located.logits.device, round((located.logits.shape[-1] - 1) ** 0.5)
     shown = torch.from_numpy(dataset.shown).to(device)  # (N, V, P)
-    cells = target_distribution(torch.from_numpy(dataset.places).to(device), height=side, width=side)
+    cells = target_distribution(torch.from_numpy(dataset.keypoints).to(device), height=side, width=side)
     is_shown = (shown == SHOWN)[..., None]
     targets = torch.cat([cells * is_shown, (~is_shown).float()], dim=-1)  # (N, V, P, S + 1)
     losses = -(targets * located.logits.log_softmax(dim=-1)).sum(dim=-1)

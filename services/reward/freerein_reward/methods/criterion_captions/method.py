@@ -19,9 +19,9 @@ from freerein.learning.training_loop import FitResult
 from freerein_reward.methods.criterion_captions.config import CriterionConfig
 from freerein_reward.methods.criterion_captions.criterion_model import CriterionModel
 from freerein_reward.methods.criterion_captions.evaluation import evaluate_criteria
+from freerein_reward.methods.criterion_captions.keypoint_dataset import ViewLayout, locate_phrases, view_layout
 from freerein_reward.methods.criterion_captions.losses import CriterionLearner
 from freerein_reward.methods.criterion_captions.network import CriterionNetwork
-from freerein_reward.methods.criterion_captions.place_dataset import ViewLayout, locate_phrases, view_layout
 from freerein_reward.methods.criterion_captions.spec import NO_CAMERA, CriterionSpec, check_views
 from freerein_reward.methods.shared.phrases import check_phrases, check_shown
 from freerein_reward.model import GradCamModel, load_built_in
@@ -72,7 +72,7 @@ def _prepare(
         config: Resolved configuration.
         device: Device of the networks.
         grounding: Folder of a version of the grounding model, named after it.
-        captions: Folder of the fit, where places are cached and progress is logged.
+        captions: Folder of the fit, where keypoints are cached and progress is logged.
     """
     dataset, model = source.dataset, load_built_in(grounding, str(device))
     (height, width), *_ = ((each.height, each.width) for each in source.cameras(config.cameras))
@@ -89,7 +89,7 @@ def _prepare(
 
 
 def network_spec(grounding: GradCamModel, config: CriterionConfig, layout: ViewLayout) -> CriterionSpec:
-    """Returns the architecture of a model; other phrases are the nouns of the fit in each colour that can be told."""
+    """Returns the architecture of a model; other phrases are the nouns of the fit in each known colour."""
     units = tuple(float(part) for camera in range(len(config.cameras)) for part in layout.unit(camera))
     theirs = grounding.network.spec
     nouns = dict.fromkeys(words(phrase)[-1] for phrase in config.phrases)

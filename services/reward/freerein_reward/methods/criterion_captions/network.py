@@ -26,7 +26,7 @@ MAX_NOUNS = 3
 _PAIRS = tuple(combinations(range(MAX_NOUNS), 2))
 
 _RANGE = 2.0
-"""Distance that is told well from others, in object widths; criteria have their limits within it."""
+"""Distance up to which distances are resolved well, in object widths; criteria have their limits within it."""
 
 STATEMENTS: tuple[tuple[Claim, str], ...] = (
     *((claim, name) for claim in (Claim.HOLDS, Claim.FAILS) for name in CRITERIA),
@@ -73,22 +73,24 @@ class CriterionNetwork(nn.Module):
         found = self.locator(cells.flatten(end_dim=1), phrases)
         return Located(*(each.reshape(*cells.shape[:2], *each.shape[1:]) for each in found))
 
-    def embed_places(self, places: Tensor, presence: Tensor, tuples: Tensor) -> Tensor:
+    def embed_keypoints(self, keypoints: Tensor, presence: Tensor, tuples: Tensor) -> Tensor:
         """Returns unit embeddings of what images show of tuples of phrases, float32 (N, T, E).
 
         Args:
-            places: float32 (N, V, K, 2), as fractions.
+            keypoints: float32 (N, V, K, 2), as fractions.
             presence: float32 (N, V, K).
             tuples: Numbers of the phrases, int64 (T, `MAX_NOUNS`); -1 in the last place of a pair.
         """
         is_noun = (tuples >= 0).float()  # (T, nouns)
-        at, shown = places[:, :, tuples], presence[:, :, tuples] * is_noun  # (N, V, T, nouns, 2), (N, V, T, nouns)
+        at, shown = keypoints[:, :, tuples], presence[:, :, tuples] * is_noun  # (N, V, T, nouns, 2), (N, V, T, nouns)
         first, second = (list(each) for each in zip(*_PAIRS, strict=True))
         apart = (at[..., first, :] - at[..., second, :]) / self.units[:, None, None].to(at.device)
         apart = (apart / _RANGE).tanh() * (shown[..., first] * shown[..., second])[..., None]  # (N, V, T, pairs, 2)
         by_camera = torch.cat([apart.flatten(start_dim=3), shown], dim=3)  # (N, V, T, pairs * 2 + nouns)
         by_tuple = by_camera.transpose(1, 2).flatten(start_dim=2)  # (N, T, ...)
-        count = is_noun[:, -1:].expand(len(places), -1, 1)  # a pair is told from a triple whose last noun is missing
+        count = is_noun[:, -1:].expand(
+            len(keypoints), -1, 1
+        )  # distinguishes a pair from a triple without its last noun
         return functional.normalize(self.mlp(torch.cat([by_tuple, count], dim=2)), dim=2)
 
     def embed_statements(self) -> Tensor:
@@ -117,7 +119,7 @@ class CriterionNetwork(nn.Module):
         is_noun = nouns.abs().amax(dim=2) > 0  # (K, nouns)
         found = self.locate(cells, functional.normalize(nouns.flatten(end_dim=1), dim=1))
         numbers = torch.arange(is_noun.numel(), device=texts.device).view(is_noun.shape)
-        seen = self.embed_places(found.places, found.presence, numbers.where(is_noun, -1))  # (N, K, E)
+        seen = self.embed_keypoints(found.keypoints, found.presence, numbers.where(is_noun, -1))  # (N, K, E)
         return torch.einsum("nke,ke->nk", seen, functional.normalize(said, dim=1))
 
     def distance(self, views: Tensor) -> Tensor:
@@ -125,7 +127,7 @@ class CriterionNetwork(nn.Module):
         return self.in_distribution.distance(self.statistics(views))
 
     def statistics(self, views: Tensor) -> Tensor:
-        """Returns what the in-distribution score sees, float32 (N, D), of views uint8 (N, V, H, W, 3)."""
+        """Returns the in-distribution score's inputs, float32 (N, D), of views uint8 (N, V, H, W, 3)."""
         return image_statistics({str(each): view for each, view in enumerate(views.unbind(dim=1))}, colours=True)
 
     @property

@@ -28,7 +28,7 @@ class CriterionSpec:
         text_width: Channels of the text encoder; a multiple of 16.
         text_depth: Layers of the text encoder.
         phrase_dim: Dimension of the embeddings of noun phrases and cells.
-        hidden_size: Units of each of the two hidden layers that read places.
+        hidden_size: Units of each of the two hidden layers that read keypoints.
         embedding_dim: Dimension of the embeddings of captions.
 
     Raises:

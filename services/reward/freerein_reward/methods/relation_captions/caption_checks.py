@@ -14,8 +14,9 @@ _ONE_RELATION = 0.9
 def caption_warnings(images: CaptionDataset) -> list[str]:
     """Returns a warning where one relation makes up nearly all captions, each pair of phrases counted once."""
     pairs = np.triu_indices(len(images.phrases), k=1)
-    told = images.relations[:, *pairs]
-    counts = np.bincount(told[(told >= 0) & (told < len(SpatialRelation))], minlength=len(SpatialRelation))
+    relations = images.relations[:, *pairs]
+    is_one = (relations >= 0) & (relations < len(SpatialRelation))
+    counts = np.bincount(relations[is_one], minlength=len(SpatialRelation))
     most, share = SpatialRelation(int(counts.argmax())), counts.max() / max(1, counts.sum())
     if share <= _ONE_RELATION:
         return []

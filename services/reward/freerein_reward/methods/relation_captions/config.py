@@ -21,7 +21,7 @@ class RewardConfig(DatasetFitConfig):
         embedding_dim: Dimension of a pair's embedding.
         initial: What the fit begins with: the convolutions of the grounding model, which stays as it is, or random
             weights. A grounding model that was trained elsewhere needs `scratch`.
-        distillation: Weight of the loss that holds the places of phrases where the grounding model finds them in the
+        distillation: Weight of the loss that holds the keypoints of phrases where the grounding model finds them in the
             first camera; 0 for none. From scratch, 10 finds them in a few hundred steps.
     """
 

@@ -172,7 +172,7 @@ def caption_scores(network: DualEncoder, dataset: CaptionDataset) -> Tensor:
 def naming_loss(network: DualEncoder, phrases: Sequence[str]) -> Tensor:
     """Returns the cross-entropy of the phrases that each caption names first and second; they are known from its text.
 
-    Without it, captions of a pair have to be told apart by images before any relation can be learned.
+    Without it, images alone must separate the captions of a pair before any relation can be learned.
     """
     pairs = ordered_pairs(len(phrases))
     states = network.text.states(network.tokenize(pair_captions(phrases, pairs)))  # (pairs * CAPTIONS, C)

@@ -1,4 +1,4 @@
-"""Which noun phrases a reward model can be fitted to."""
+"""Checks of the noun phrases that a reward model is fitted to."""
 
 from collections.abc import Sequence
 

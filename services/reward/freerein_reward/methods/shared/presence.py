@@ -1,4 +1,4 @@
-"""Which phrases an image shows, judged against the other images of a dataset.
+"""Presence of phrases in an image, judged against the other images of a dataset.
 
 A grounding model has one threshold of heat for all phrases. In a dataset the heat of a phrase mostly forms two groups,
 of images that show it and of images that do not; where it does, the groups tell better.

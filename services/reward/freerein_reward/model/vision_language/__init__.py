@@ -5,4 +5,4 @@ from freerein_reward.model.vision_language.grad_cam import gradient_weights as g
 from freerein_reward.model.vision_language.grad_cam import heat_maps as heat_maps
 from freerein_reward.model.vision_language.interface import TracedMaps as TracedMaps
 from freerein_reward.model.vision_language.interface import VisionLanguageModel as VisionLanguageModel
-from freerein_reward.model.vision_language.places import PLACES as PLACES
+from freerein_reward.model.vision_language.keypoints import KEYPOINTS as KEYPOINTS

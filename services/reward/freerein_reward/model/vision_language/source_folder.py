@@ -51,9 +51,10 @@ def read_json(folder: Path, name: str) -> dict[str, Any]:
         document = json.loads(read_regular(folder / name, name=name, most_bytes=_MAX_JSON_BYTES))
         if not isinstance(document, dict):
             raise TypeError
-    except (OSError, ValueError, RecursionError, TypeError):
+    except (OSError, ValueError, RecursionError, TypeError) as error:
         raise InvalidInput(
-            f"`source` must have {name}, a JSON object of at most {_MAX_JSON_BYTES >> 20} MiB; it has not.",
+            f"`source` must have {name}, a JSON object of at most {_MAX_JSON_BYTES >> 20} MiB; got "
+            f"{type(error).__name__}.",
             field="source",
             hint="Copy all files of the model.",
         ) from None

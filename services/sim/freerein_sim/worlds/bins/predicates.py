@@ -44,4 +44,4 @@ def _is_completed(index: int, states: States) -> Flags:
 _NAMES = tuple(each.name for each in GROCERIES)
 _OBJECTS = MovedObjects(SPEC.state_names, gripper_axes="xyz", names=_NAMES, lifted_m=_LIFTED_M)
 PREDICATES = _OBJECTS.predicates({f"move-{name}": index for index, name in enumerate(_NAMES)}, _is_completed)
-"""Of landmarks and of each skill `move-GROCERY`."""
+"""Predicates of landmarks and of each skill `move-GROCERY`."""

@@ -30,7 +30,7 @@ _ACTIONS = ((0, 0, 0, 0), (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0))
 _VARIABLES = (vizdoom.GameVariable.POSITION_X, vizdoom.GameVariable.POSITION_Y, vizdoom.GameVariable.ANGLE)
 _NOT_DRAWN = ("hud", "crosshair", "weapon", "decals", "particles", "messages", "corpses")
 _SEED = 1
-"""Of the engine's own generator, which draws nothing that matters here: starts are drawn by the world."""
+"""Seed of the engine's own generator, which draws nothing that matters here: starts are drawn by the world."""
 
 _FIRST_TIC = 10
 """Tic from which the player can turn and move."""

@@ -24,7 +24,7 @@ _LAMPS = (((-0.5, -0.3, -0.6), 0.28), ((0.6, 0.2, 0.5), 0.14))
 """Directions, and how bright: no two sides of a box are lit alike."""
 
 _CORNERS = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-"""Of a face, counter-clockwise from outside: shares of its width and of its height, from its lower left."""
+"""Corners of a face, counter-clockwise from outside: shares of its width and of its height, from its lower left."""
 
 _TRIANGLES = np.array([(0, 1, 2), (0, 2, 3)])
 _FACES = (

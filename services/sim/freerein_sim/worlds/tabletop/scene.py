@@ -42,7 +42,7 @@ _WELD = [*(0.0,) * 3, *(0.0,) * 3, *(1.0, 0, 0, 0), 1.0, 0.0]
 
 _WELD_SOLREF = [0.012, 1.0]
 _SLICES, _STACKS = 16, 8
-"""Of round geoms as they are drawn; MuJoCo's 28 and 16 take twice as long."""
+"""Slices and stacks of round geoms as they are drawn; MuJoCo's 28 and 16 take twice as long."""
 
 _PAINT_M = 0.0008
 """Half thickness of what is painted on."""

@@ -52,7 +52,7 @@ class TabletopWorld(MujocoWorld):
         only_own: Whether only what a recipe's task uses is on show.
 
     Attributes:
-        thing: What the task of the episode uses.
+        thing: The thing that the episode's task uses.
     """
 
     def __init__(self, spec: WorldSpec, make_expert: MakeWorldExpert, *, only_own: bool) -> None:

@@ -1,1 +1,1 @@
-"""How goal texts are read: a frozen text encoder, and a reader of its tokens that is trained on text alone."""
+"""Encoders of goal texts: a frozen text encoder, and a reader of its tokens that is trained on text alone."""

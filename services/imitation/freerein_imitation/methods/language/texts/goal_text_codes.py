@@ -12,7 +12,7 @@ from freerein_imitation.methods.language.texts.goal_text_reader import GoalTextR
 from freerein_imitation.methods.language.texts.text_encoder import TextEncoder
 
 TextCode = Literal["statement", "sentence"]
-"""What a code is made of; see `LanguageConfig.text_code`."""
+"""Kinds of text codes; see `LanguageConfig.text_code`."""
 
 RELATIONS = tuple(SpatialRelation)
 PAIR = 2
@@ -28,15 +28,15 @@ def encode_text(
         text: The text.
         reader: Reads it.
         encoder: The text encoder.
-        text_code: What the reader's part is made of.
-        phrases: Noun phrases that an eye locates; without an eye a code has the reader's part alone.
+        text_code: Kind of the reader's part.
+        phrases: Noun phrases that an object encoder locates; without one a code has the reader's part alone.
     """
     code = reader.encode(text, encoder) if text_code == "statement" else reader.encode_sentence(text, encoder)
     return torch.cat([code, _statement(text, phrases)]) if phrases else code
 
 
 def statement_size(phrases: Sequence[str]) -> int:
-    """Returns the numbers of a statement about phrases that an eye locates; 0 without an eye."""
+    """Returns the numbers of a statement about phrases that an object encoder locates; 0 without one."""
     return PAIR + len(RELATIONS) if phrases else 0
 
 

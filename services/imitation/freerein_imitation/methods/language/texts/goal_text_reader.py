@@ -35,7 +35,7 @@ _PLACES = {
     Tag.BELOW: (3, 2),
     Tag.APART_FROM: (4, 4),
 }
-"""Which part of a code is about the first phrase, and which about the second."""
+"""Parts of a code that describe the first and the second phrase."""
 
 _MOVED = 5
 _MOVED_WEIGHT = 0.5

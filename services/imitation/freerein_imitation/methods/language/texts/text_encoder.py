@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, quoted
 from freerein.learning import tensor_files
 from freerein_imitation.methods.language.texts.wordpiece import WordPieceTokenizer
 
@@ -40,7 +40,7 @@ class TextEncoder:
             (self.size,) = self.embed(self.tokenize("a text shows whether the weights fit together")).shape
         except (KeyError, IndexError, ValueError, RuntimeError) as error:
             raise InvalidInput(
-                "A text encoder's file must hold the weights of a BERT encoder and its vocabulary; it does not.",
+                f"A text encoder's file must hold a BERT encoder and its vocabulary; got: {quoted(repr(error))}.",
                 hint="Fit the model again, or restore its folder from a copy.",
             ) from error
 

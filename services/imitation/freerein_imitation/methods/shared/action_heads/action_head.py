@@ -1,4 +1,4 @@
-"""What a policy's network asks of an action head, and how one of some categories is chosen."""
+"""Interface of action heads, and the choice of a category."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -26,7 +26,7 @@ class ActionHead(Protocol):
     draws: int
 
     def encode(self, frames: FrameTensors) -> Tensor:
-        """Returns what the head adds to the codes of frames, uint8 (N, H, W, C) by camera: float32 (N, M)."""
+        """Returns the head's own features of frames, uint8 (N, H, W, C) by camera: float32 (N, M)."""
 
     def target(self, actions: Tensor) -> Tensor:
         """Returns executed actions, float32 (..., A) or int64 (..., 1), as distributions: float32 (..., D)."""
@@ -51,7 +51,7 @@ class ActionHead(Protocol):
         Args:
             context: As of `logits`, (B, H + 2 M).
             draws: Uniform numbers in [0, 1) that actions are sampled by, (B, U); None for the likeliest action.
-            temperature: What logits are divided by before a draw, above 0.
+            temperature: Divisor of logits before a draw, above 0.
         """
 
 

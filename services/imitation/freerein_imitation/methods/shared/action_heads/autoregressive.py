@@ -29,5 +29,5 @@ class AutoregressiveHead(PickHead):
         return torch.zeros((len(first), 0), device=first.device)
 
     def locations(self, context: Tensor) -> Locations:
-        """Returns what the head says of the locations; see `PickHead`."""
+        """Returns logits of the locations; see `PickHead`."""
         return Locations(context, self.location(context), self.embedding.weight)

@@ -47,7 +47,7 @@ class MapHead(PickHead):
         return functional.adaptive_avg_pool2d(x, self._sides).flatten(start_dim=1)
 
     def locations(self, context: Tensor) -> Locations:
-        """Returns what the head says of the locations; see `PickHead`."""
+        """Returns logits of the locations; see `PickHead`."""
         hidden, both = context[:, : self._hidden], context[:, self._hidden :]
         images = both.reshape(-1, 2 * _CHANNELS, *self._sides)  # of observation, then of goal
         channels = self.hidden_channels(hidden)[:, :, None, None].expand(-1, -1, *self._sides)

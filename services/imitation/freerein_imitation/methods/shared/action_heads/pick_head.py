@@ -23,7 +23,7 @@ _UNITS = 200
 
 
 class Locations(NamedTuple):
-    """What a head says of the locations.
+    """Logits and features of the locations.
 
     Attributes:
         hidden: Hidden features, float32 (B, H).
@@ -54,7 +54,7 @@ class PickHead(nn.Module, ABC):
 
     @abstractmethod
     def locations(self, context: Tensor) -> Locations:
-        """Returns what the head says of the locations, given contexts float32 (B, H + 2 M)."""
+        """Returns logits of the locations, given contexts float32 (B, H + 2 M)."""
 
     def target(self, actions: Tensor) -> Tensor:
         """Returns actions as distributions; see `ActionHead`."""

@@ -1,1 +1,1 @@
-"""What `goal_conditioned` and `inverse_model` share: all but the network that chooses actions, and its loss."""
+"""Shared by `goal_conditioned` and `inverse_model`: all but the network that chooses actions, and its loss."""

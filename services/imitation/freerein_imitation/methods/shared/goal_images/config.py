@@ -25,7 +25,7 @@ class GoalImagesConfig(DatasetFitConfig):
         embedding_size: Size of the recognizer's embeddings, and its image features per camera.
         head: Action head: `categorical` for choices; `bins` for numbers; for pick and place `autoregressive` or `map`,
             too; `auto` for the first of these that fits.
-        temperature: What logits are divided by before actions are drawn; 0 for the likeliest actions.
+        temperature: Divisor of logits before actions are drawn; 0 for the likeliest actions.
         recognizer: Model of the method `goal_recognizer` whose goal recognizer is copied; empty to train one, too.
         recognizer_version: Its version; empty for the active one.
 

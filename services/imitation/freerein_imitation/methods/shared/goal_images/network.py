@@ -31,7 +31,7 @@ class GoalImagesSpec(InputSpec):
         embedding_size: Size of the recognizer's embeddings, and its image features per camera.
         recognizer_encoder: Image encoder of the recognizer; empty for `encoder`.
         head: Action head; `auto` for `categorical` where actions are choices, else `bins`.
-        temperature: What logits are divided by before actions are drawn; 0 for the likeliest actions.
+        temperature: Divisor of logits before actions are drawn; 0 for the likeliest actions.
 
     Raises:
         InvalidInput: Cameras, actions or `embedding_size` are out of bounds; an encoder may need more features. Or the
@@ -85,7 +85,7 @@ class ActionNetwork(nn.Module, ABC):
         return torch.cat([features, self.action_head.encode(frames)], dim=1) if self.action_head.code_size else features
 
     def context(self, hidden: Tensor, codes: Tensor, goals: Tensor) -> Tensor:
-        """Returns what the heads see: hidden features (..., H), and what the head added to codes (..., code size)."""
+        """Returns the heads' inputs: hidden features (..., H), and the head's own part of codes (..., code size)."""
         added = [each[..., self.encoder.size :] for each in (codes, goals)]
         return torch.cat([hidden, *added], dim=-1) if self.action_head.code_size else hidden
 

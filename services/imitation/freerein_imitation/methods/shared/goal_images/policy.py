@@ -12,7 +12,7 @@ class GoalImagesPolicy(TorchPolicy[GoalImagesNetwork]):
     """Follows goal images.
 
     A recurrent network moves on once per observation. Its training saw one of every control step, so it acts best where
-    it observes each; of steps that it did not see it is told no more than the last action.
+    it observes each; of steps that it did not see, its only input is the last action.
     """
 
     def __init__(self, network: GoalImagesNetwork, control: ControlSpec) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, quoted
 from freerein.learning.model_files import load_model, read_card
 from freerein.model_store import ModelStore
 from freerein.types.common import Camera, ModelRef, check_name
@@ -58,7 +58,7 @@ def active_recognizer(data_dir: Path, ref: ModelRef) -> ModelRef:
     version = ref.version or _store(data_dir).active_version(ref.name)
     if not version:
         raise InvalidInput(
-            "`recognizer` must be the name of a model of the imitation service; none of that name is active.",
+            f"`recognizer` must be the name of an active model of the imitation service; got {quoted(ref.name)}.",
             field=_FIELD,
             hint=_HINT,
         )

@@ -1,4 +1,4 @@
-"""The eye of a policy: it locates a body that it moved by random actions, what that carried, and the goal's objects."""
+"""A policy's object encoder: it locates a body moved by random actions, what that carried, and the goal's objects."""
 
 import shutil
 from pathlib import Path
@@ -10,12 +10,12 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import tensor_files
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
-from freerein.learning.actor_critic.eye import GoalEye, _robust_regression
+from freerein.learning.actor_critic.object_encoder import ObjectEncoder, _robust_regression
 from freerein.learning.augmentation import add_distractors
 from freerein.learning.model_files import MODEL
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
-from freerein_orchestrator.rl.goal_eye import load_object_encoder
+from freerein_orchestrator.rl.object_encoder import load_reward_encoder
 
 STEP = 10.0
 """Pixels by which an action of 1 moves the body."""
@@ -75,33 +75,35 @@ def _as_a_training() -> None:
 
 
 @pytest.mark.usefixtures("_as_a_training")
-def test_an_eye_finds_its_body_and_where_that_holds_things(folder: Path) -> None:
-    encoder = load_object_encoder(folder, goal_caption=CAPTION, camera=CAMERA)
+def test_an_object_encoder_finds_its_body_and_where_that_holds_things(folder: Path) -> None:
+    encoder = load_reward_encoder(folder, goal_caption=CAPTION, camera=CAMERA)
     assert (encoder.spec.first, encoder.spec.second) == (2, 1)
-    eye = GoalEye(encoder.spec, height=64, width=64, action_size=2)
-    eye.load_objects(encoder.weights)
+    encoder_net = ObjectEncoder(encoder.spec, height=64, width=64, action_size=2)
+    encoder_net.load_objects(encoder.weights)
     seen, _ = explore(np.random.default_rng(0), 16)
-    eye.fit(seen, torch.Generator().manual_seed(0))
+    encoder_net.fit(seen, torch.Generator().manual_seed(0))
 
     new, places = explore(np.random.default_rng(1), 10)
-    features = eye(new.frames[1::2].flatten(end_dim=1))  # of those that carry
+    features = encoder_net(new.frames[1::2].flatten(end_dim=1))  # of those that carry
     assert error(features[:, :2].numpy() / 2, places) < 5
     held = features[:, 2:4]  # from where it holds things to the first object, in object widths
     assert held.abs().median() < 0.25
-    nearness = eye.nearness(torch.cat([features, torch.full((len(features), 2), 9.0)], dim=1))  # and a last action
+    nearness = encoder_net.nearness(
+        torch.cat([features, torch.full((len(features), 2), 9.0)], dim=1)
+    )  # and a last action
     torch.testing.assert_close(nearness, (4 - held.norm(dim=1)).clamp(min=0))
-    assert all(not parameter.requires_grad for parameter in eye.parameters())
-    assert not eye.train().training
+    assert all(not parameter.requires_grad for parameter in encoder_net.parameters())
+    assert not encoder_net.train().training
 
 
 def test_where_nothing_moved_with_the_body_places_stay_those_in_the_frame(folder: Path) -> None:
-    encoder = load_object_encoder(folder, goal_caption=CAPTION, camera=CAMERA)
-    eye = GoalEye(encoder.spec, height=64, width=64, action_size=2)
-    eye.load_objects(encoder.weights)
+    encoder = load_reward_encoder(folder, goal_caption=CAPTION, camera=CAMERA)
+    encoder_net = ObjectEncoder(encoder.spec, height=64, width=64, action_size=2)
+    encoder_net.load_objects(encoder.weights)
     frame = torch.from_numpy(draw(np.array([32, 10]), np.array([12, 40]), np.array([44, 40])))
-    eye.fit(Exploration(frame.expand(2, 3, 64, 64, 3), torch.zeros(2, 2, 2)), torch.Generator().manual_seed(0))
+    encoder_net.fit(Exploration(frame.expand(2, 3, 64, 64, 3), torch.zeros(2, 2, 2)), torch.Generator().manual_seed(0))
 
-    first_x, first_up, second_x, second_up = (-0.2 * eye(frame[None])[0, 2:6]).tolist()
+    first_x, first_up, second_x, second_up = (-0.2 * encoder_net(frame[None])[0, 2:6]).tolist()
 
     assert first_x < -0.3 < 0.3 < second_x
     assert first_up == pytest.approx(second_up, abs=0.05)
@@ -152,18 +154,18 @@ def test_where_a_body_holds_things_is_found_to_the_same_bits_whatever_was_in_mem
         (CAPTION, Camera("front", 32, 32, 3), "at 32 x 32"),
     ],
 )
-def test_a_reward_model_that_an_eye_cannot_use_is_refused(
+def test_a_reward_model_that_an_object_encoder_cannot_use_is_refused(
     folder: Path, caption: str, camera: Camera, expected: str
 ) -> None:
     with pytest.raises(InvalidInput, match=expected):
-        load_object_encoder(folder, goal_caption=caption, camera=camera)
+        load_reward_encoder(folder, goal_caption=caption, camera=camera)
 
 
 def test_a_grounding_model_is_no_encoder_of_objects() -> None:
     store = ModelStore(CLONE_MODELS / "reward")
     folder = store.folder(ModelRef("grounding", store.active_version("grounding")))
     with pytest.raises(InvalidInput):
-        load_object_encoder(folder, goal_caption=CAPTION, camera=CAMERA)
+        load_reward_encoder(folder, goal_caption=CAPTION, camera=CAMERA)
 
 
 def test_a_reward_model_without_keypoints_of_its_own_is_no_encoder_of_objects(folder: Path, tmp_path: Path) -> None:
@@ -172,7 +174,7 @@ def test_a_reward_model_without_keypoints_of_its_own_is_no_encoder_of_objects(fo
     of_criteria = {name: each for name, each in weights.items() if not name.startswith("image.pool.")}
     (copied / MODEL.weights).write_bytes(tensor_files.dump(of_criteria))
     with pytest.raises(InvalidInput, match="`relation_captions`"):
-        load_object_encoder(copied, goal_caption=CAPTION, camera=CAMERA)
+        load_reward_encoder(copied, goal_caption=CAPTION, camera=CAMERA)
 
 
 def test_a_fit_of_the_body_is_interrupted() -> None:

@@ -1,4 +1,4 @@
-"""The places of a dataset's noun phrases, as the grounding model finds them in each camera."""
+"""The keypoints of a dataset's noun phrases, as the grounding model finds them in each camera."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -56,50 +56,50 @@ class ViewLayout:
 
 
 @dataclass(frozen=True, eq=False)
-class PlaceDataset:
+class KeypointDataset:
     """N moments seen by V cameras, and where P phrases are.
 
     Attributes:
         frames: uint8 (N, H, W, 3) per camera.
-        places: float32 (N, V, P, 2), x and y as fractions of width and height.
+        keypoints: float32 (N, V, P, 2), x and y as fractions of width and height.
         shown: int8 (N, V, P), `SHOWN`, `HIDDEN` or `UNSURE`.
         layout: Which camera is which view.
     """
 
     frames: tuple[Frames, ...]
-    places: npt.NDArray[np.float32]
+    keypoints: npt.NDArray[np.float32]
     shown: Labels
     layout: ViewLayout
 
     def __len__(self) -> int:
-        return len(self.places)
+        return len(self.keypoints)
 
-    def subset(self, items: npt.NDArray[np.int64]) -> "PlaceDataset":
+    def subset(self, items: npt.NDArray[np.int64]) -> "KeypointDataset":
         """Returns the moments at some indices, int64 (n,)."""
         frames = tuple(each[items] for each in self.frames)
-        return replace(self, frames=frames, places=self.places[items], shown=self.shown[items])
+        return replace(self, frames=frames, keypoints=self.keypoints[items], shown=self.shown[items])
 
-    def mirrored(self, flips: npt.NDArray[np.bool_]) -> "PlaceDataset":
-        """Returns the dataset with the frames where `flips`, bool (N,), mirrored left to right, places included."""
+    def mirrored(self, flips: npt.NDArray[np.bool_]) -> "KeypointDataset":
+        """Returns the dataset with the frames where `flips`, bool (N,), mirrored left to right, keypoints included."""
         frames = tuple(np.where(flips[:, None, None, None], each[:, :, ::-1], each) for each in self.frames)
-        places = self.places.copy()
-        places[flips, ..., 0] = 1 - places[flips, ..., 0]
-        return replace(self, frames=frames, places=places)
+        keypoints = self.keypoints.copy()
+        keypoints[flips, ..., 0] = 1 - keypoints[flips, ..., 0]
+        return replace(self, frames=frames, keypoints=keypoints)
 
     def captions(self, tuples: npt.NDArray[np.int64], *, tolerance: float) -> Labels:
         """Returns whether captions hold; see `label_captions`."""
-        count, _, phrases, _ = self.places.shape
-        places = np.zeros((count, len(View), phrases, 2))
+        count, _, phrases, _ = self.keypoints.shape
+        keypoints = np.zeros((count, len(View), phrases, 2))
         shown = np.full((count, len(View), phrases), UNSURE, np.int8)
         for view in self.layout.views:
             camera = self.layout.cameras[view]
-            places[:, view] = self.places[:, camera] / self.layout.units[view]
+            keypoints[:, view] = self.keypoints[:, camera] / self.layout.units[view]
             shown[:, view] = self.shown[:, camera]
-        return label_captions(places, shown, tuples, views=self.layout.views, tolerance=tolerance)
+        return label_captions(keypoints, shown, tuples, views=self.layout.views, tolerance=tolerance)
 
     def split(
         self, lengths: npt.NDArray[np.int64], *, fraction: float, seed: int
-    ) -> tuple["PlaceDataset", "PlaceDataset"]:
+    ) -> tuple["KeypointDataset", "KeypointDataset"]:
         """Returns the training and the validation moments, of whole trajectories.
 
         `lengths`, int64 (n,), are the timesteps of each trajectory, with sum N; `fraction` is the validation part's.
@@ -114,7 +114,7 @@ class PlaceDataset:
         counts = [int(shows_two[side].sum()) for side in sides]
         if not all(counts):
             raise InvalidInput(
-                f"Training and validation images must show two of the {self.places.shape[2]} phrases; "
+                f"Training and validation images must show two of the {self.keypoints.shape[2]} phrases; "
                 f"{counts[0]} and {counts[1]} images do.",
                 field="config.phrases",
                 hint="Try the phrases on one image with `Ground`; name objects by colour.",
@@ -139,10 +139,10 @@ def view_layout(cameras: Sequence[str], views: Sequence[str], widths: Sequence[f
 
 def locate_phrases(
     dataset: Dataset, grounding: PhraseLocator, config: CriterionConfig, layout: ViewLayout, path: Path
-) -> PlaceDataset:
-    """Returns a dataset's moments with the places of the phrases in each camera.
+) -> KeypointDataset:
+    """Returns a dataset's moments with the keypoints of the phrases in each camera.
 
-    `path` is a cache of the places, read when it exists, else written; `metrics.jsonl` beside it then has the fraction
+    `path` caches the keypoints, read when it exists, else written; `metrics.jsonl` beside it then has the fraction
     done, `captioned`, at step 0.
     """
     size = grounding.image_size
@@ -150,27 +150,27 @@ def locate_phrases(
     frames = tuple(resized(each, size) for each in steps)
     if path.is_file():
         cached = tensor_files.parse(path.read_bytes())
-        places, shown = cached["places"].numpy(), cached["shown"].numpy()
+        keypoints, shown = cached["places"].numpy(), cached["shown"].numpy()
     else:
         rows = MetricsWriter(path.with_name("metrics.jsonl"), last_step=-1)
-        places, shown = find_places(frames, grounding, config, layout, rows)
-        tensors = {"places": torch.from_numpy(places), "shown": torch.from_numpy(shown)}
+        keypoints, shown = find_keypoints(frames, grounding, config, layout, rows)
+        tensors = {"places": torch.from_numpy(keypoints), "shown": torch.from_numpy(shown)}
         write_atomic(path, tensor_files.dump(tensors))
-    return PlaceDataset(frames, places, shown, layout)
+    return KeypointDataset(frames, keypoints, shown, layout)
 
 
-def find_places(
+def find_keypoints(
     frames: Sequence[Frames],
     grounding: PhraseLocator,
     config: CriterionConfig,
     layout: ViewLayout,
     rows: MetricsWriter | None = None,
 ) -> tuple[npt.NDArray[np.float32], Labels]:
-    """Returns the places of the phrases, float32 (N, V, P, 2), and whether they are shown, int8 (N, V, P).
+    """Returns the keypoints of the phrases, float32 (N, V, P, 2), and whether they are shown, int8 (N, V, P).
 
     `frames` are uint8 (N, H, W, 3) per camera.
     """
-    places, shown = [], []
+    keypoints, shown = [], []
     for camera, view in enumerate(frames):
         parts = []
         for start in range(0, len(view), _IMAGES_AT_ONCE):
@@ -180,10 +180,10 @@ def find_places(
                 done = (camera + min(1.0, (start + _IMAGES_AT_ONCE) / len(view))) / len(frames)
                 rows.append(0, {"captioned": done})
         x, y, heat, presence = np.concatenate(parts, axis=1)  # (N, P) each
-        places.append(np.stack([x, y], axis=2).astype(np.float32))
+        keypoints.append(np.stack([x, y], axis=2).astype(np.float32))
         unit = layout.unit(camera)
         shown.append(_shown(x / unit[0], y / unit[1], heat, presence, least=config.min_presence))
-    return np.stack(places, axis=1), np.stack(shown, axis=1)
+    return np.stack(keypoints, axis=1), np.stack(shown, axis=1)
 
 
 def _shown(
@@ -194,7 +194,7 @@ def _shown(
     *,
     least: float,
 ) -> Labels:
-    """Returns whether phrases are shown at places in object widths, int8 (N, P)."""
+    """Returns whether phrases are shown at keypoints in object widths, int8 (N, P)."""
     probability = presence_in_dataset(heat, presence).probability
     is_alone = alone_in_place(x, y, probability, heat, epsilon=1.0)
     sure = np.where(probability < 1 - least, HIDDEN, UNSURE)

@@ -1,4 +1,4 @@
-"""The eye of a new policy: its encoder is that of a stored reward model, and its body is found by random actions."""
+"""Makes a new policy's object encoder, of a stored reward model's image encoder and a body found by random actions."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from freerein.config import parse
 from freerein.errors import InvalidInput
 from freerein.learning import model_files, tensor_files
 from freerein.learning.actor_critic.body import Exploration
-from freerein.learning.actor_critic.eye import EyeSpec
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
+from freerein.learning.actor_critic.object_encoder import ObjectEncoderSpec
 from freerein.learning.encoders.clip import ClipImageSpec
 from freerein.types.common import Camera
 from freerein_orchestrator.rl.config import PPOConfig
@@ -29,21 +29,21 @@ _HINT = "Choose a reward model that was fitted to frames of this camera, or the 
 
 
 @dataclass(frozen=True, eq=False)
-class ObjectEncoder:
-    """An encoder that locates the two objects of a goal.
+class RewardEncoder:
+    """A reward model's image encoder, which locates the two objects of a goal.
 
     Attributes:
         caption: The goal, as the reward model reads it.
-        spec: What the eye looks for.
+        spec: Sizes, and the numbers of the two phrases.
         weights: By name.
     """
 
     caption: str
-    spec: EyeSpec
+    spec: ObjectEncoderSpec
     weights: Mapping[str, Tensor]
 
 
-def load_object_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> ObjectEncoder:
+def load_reward_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> RewardEncoder:
     """Returns the image encoder of a reward model.
 
     Args:
@@ -61,11 +61,13 @@ def load_object_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> O
         seen = (list(card["cameras"]), card["image_size"])
     except (KeyError, TypeError) as error:
         raise InvalidInput(
-            "An eye needs the card of a reward model; this one is of another kind.", hint=_HINT
+            f"An object encoder is of a reward model, whose card has the sizes; reading them failed: {error!r}.",
+            hint=_HINT,
         ) from error
     if seen != ([camera.name], camera.height) or camera.height != camera.width:
         raise InvalidInput(
-            f"The eye's reward model must see {camera.name} at {camera.height} x {camera.width}; this one does not.",
+            f"The reward model must see {camera.name} at {camera.height} x {camera.width}, and a square; this one sees "
+            f"{', '.join(seen[0])} at {seen[1]} x {seen[1]}.",
             field="config.reward_model",
             hint=_HINT,
         )
@@ -75,14 +77,14 @@ def load_object_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> O
     weights = {name.removeprefix(_PREFIX): each for name, each in tensors.items() if name.startswith(_PREFIX)}
     if _KEYPOINTS not in weights:
         raise InvalidInput(
-            "An eye needs a reward model of the method `relation_captions`; this one is of another.",
+            f"An object encoder is of the method `relation_captions`; the model lacks the weights `{_KEYPOINTS}`.",
             field="config.reward_model",
             hint="Choose another reward model for the encoder, or the encoder `spatial`.",
         )
-    return ObjectEncoder(goal_caption, EyeSpec(image, first, second), weights)
+    return RewardEncoder(goal_caption, ObjectEncoderSpec(image, first, second), weights)
 
 
-def fit_eye(
+def fit_object_encoder(
     network: ActorCritic,
     envs: VecEnv,
     generator: torch.Generator,
@@ -92,7 +94,7 @@ def fit_eye(
     augmentation: float = 0.0,
     interrupt: Callable[[], None] = lambda: None,
 ) -> None:
-    """Gives the eye of a new network its encoder of objects, and has it find the policy's body by random actions.
+    """Loads the weights of a new network's object encoder, and has it find the policy's body by random actions.
 
     Args:
         network: Changed.
@@ -104,14 +106,14 @@ def fit_eye(
         interrupt: Called often; raises to stop.
     """
     if network.eye is None:
-        raise InvalidInput("A network to fit an eye of must have one.")
+        raise InvalidInput("The network must have an object encoder, to be fitted; it has an image encoder.")
     network.eye.load_objects(objects)
     explored = explore(network.spec, envs, generator, count=explorations)
     network.eye.fit(explored, generator, augmentation=augmentation, interrupt=interrupt)
 
 
 def explored_steps(spec: ActorCriticSpec, config: PPOConfig) -> int:
-    """Returns the steps of all environments that went into fitting the eye of a network; 0 without one."""
+    """Returns the steps of all environments that went into fitting the object encoder of a network; 0 without one."""
     return 0 if spec.eye is None else config.explorations * _EXPLORATION_STEPS * config.num_envs
 
 

@@ -1,4 +1,4 @@
-"""From heat to a place: the best cell, the mean of all cells, or the middle of a peak."""
+"""From heat to a keypoint: the best cell, the mean of all cells, or the middle of a peak."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -28,7 +28,7 @@ def argmax(heat: Tensor) -> Tensor:
 
 
 def soft_argmax(heat: Tensor) -> Tensor:
-    """Returns the mean of all places, weighted by the softmax of heat over its peak: see `centroid`."""
+    """Returns the mean of all positions, weighted by the softmax of heat over its peak: see `centroid`."""
     fine = _enlarged(heat)
     peaks = fine.amax(dim=(2, 3), keepdim=True).clamp(min=1e-12)
     share = (_SHARPNESS * fine / peaks).flatten(start_dim=2).softmax(dim=2).view_as(fine)
@@ -50,10 +50,10 @@ def centroid(heat: Tensor) -> Tensor:
     return torch.stack([(share.sum(dim=2) * columns).sum(dim=2), (share.sum(dim=3) * rows).sum(dim=2)], dim=2)
 
 
-PLACES: Mapping[str, Callable[[Tensor], Tensor]] = MappingProxyType(
+KEYPOINTS: Mapping[str, Callable[[Tensor], Tensor]] = MappingProxyType(
     {"argmax": argmax, "soft_argmax": soft_argmax, "centroid": centroid}
 )
-"""Ways to a place, by name."""
+"""Ways from heat to a keypoint, by name; configurations call it `place`."""
 
 
 def _enlarged(heat: Tensor) -> Tensor:
