@@ -77,8 +77,8 @@ class OnePolicy(Experiment):
 
 def _steps(arm: Arm) -> list[Step]:
     """Returns the step that distils the student of an arm, and those that evaluate it; scenes have theirs beside."""
-    taught = [] if arm.method == RANDOM else [_distil(arm)]
-    return taught if arm.method == IN_SCENES else [*taught, *_pipelines(arm)[_TASKS]]
+    first = [] if arm.method == RANDOM else [_distil(arm)]
+    return first if arm.method == IN_SCENES else [*first, *_pipelines(arm)[_TASKS]]
 
 
 def _distil(arm: Arm) -> Step:
