@@ -14,6 +14,7 @@ from starlette.applications import Starlette
 
 from freerein import errors, wire
 from freerein.clients.grpc_errors import service_error
+from freerein.clients.stream_responses import stream_responses
 from freerein.errors import ServiceError
 from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
@@ -167,7 +168,7 @@ class _Grpc:
         try:
             if method.descriptor.client_streaming:
                 stream = self._channel.stream_stream(path, **codec)(_each(map(wire.pack, request)))
-                return [wire.unpack(message, method.response) async for message in stream]
+                return [wire.unpack(message, method.response) async for message in stream_responses(stream)]
             if method.descriptor.server_streaming:
                 call = self._channel.unary_stream(path, **codec)(wire.pack(request))
                 return [wire.unpack(message, method.response) async for message in call]

@@ -4,7 +4,7 @@
 import asyncio
 import re
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from freerein.types import learning, segmentation, sim
 from freerein.types.common import ModelRef, Timing, Trajectory
 
 SESSION = "0" * 32
+LAST_STEP = 99
 SKILLS = segmentation.ListSkillsRequest()
 TASK = sim.Task("push", "table", "", (), sim.ActionSpec(2, 0, ("x", "y")), 0.1, (), 50)
 FIT = learning.Fit(SESSION, "queued", {}, dataset="demos", model_name="default")
@@ -96,6 +97,10 @@ class Peer(
 
     async def Connect(self, request_iterator, context):
         async for request in request_iterator:
+            if request.step.step_id == LAST_STEP:
+                return
+            if self.refusals:
+                await context.abort_with_status(self.refusals.pop(0))
             no = np.zeros(1, np.bool_)
             step = sim.StepResponse(request.step.step_id, {}, np.zeros(1, np.float32), no, no, no, {})
             yield wire.pack(sim.ConnectResponse(step=step))
@@ -501,6 +506,24 @@ async def test_what_the_iterator_of_requests_raises_is_raised(channel: Channel, 
 
     with pytest.raises(OSError, match="the camera is gone"):
         [reply async for reply in SimClient(channel).connect(requests())]
+
+
+@pytest.mark.parametrize("refused", [True, False])
+async def test_a_stream_that_ends_while_requests_are_sent_ends_as_the_service_said(
+    channel: Channel, peer: Peer, *, refused: bool
+) -> None:
+    step = sim.StepRequest(SESSION, 0 if refused else LAST_STEP, np.zeros((1, 2), np.float32))
+
+    async def requests() -> AsyncIterator[sim.ConnectRequest]:
+        for _ in range(20):
+            yield sim.ConnectRequest(step=step)
+            await asyncio.sleep(0)
+
+    client = SimClient(channel)
+    for _ in range(20):  # of writes, most fail after the end of the stream
+        peer.refusals = [refusal("invalid_input", grpc.StatusCode.INVALID_ARGUMENT)] * refused
+        with pytest.raises(errors.InvalidInput) if refused else nullcontext():
+            assert [reply async for reply in client.connect(requests())] == []
 
 
 async def test_a_message_of_a_stream_over_the_limit_is_too_large(channel: Channel) -> None:

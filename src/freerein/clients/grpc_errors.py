@@ -12,6 +12,7 @@ from google.rpc import error_details_pb2, status_pb2
 from grpc import aio
 
 from freerein import errors
+from freerein.clients.stream_responses import WRITE_FAILED
 from freerein.errors import ServiceError
 
 DOMAIN = "freerein"
@@ -20,7 +21,6 @@ M = TypeVar("M", bound=Message)
 
 _DETAILS_KEY = "grpc-status-details-bin"
 _TOO_LARGE = "larger than max"  # gRPC's message for one over the limit; its status is that of a full queue
-_BROKEN = "Internal error from Core"  # grpc.aio's message for a stream that ended during a write
 _TLS_HINTS = {
     "wrong_version_number": "The service does not speak TLS: leave out the certificate, or start it with one.",
     # in `certificate verify failed` and `Hostname Verification Check failed`
@@ -82,7 +82,7 @@ def _grpc_own_error(error: aio.AioRpcError, *, call: str, proxy: str) -> Service
     cls = _BY_STATUS.get(error.code(), errors.Internal)
     if _TOO_LARGE in details:
         cls = errors.TooLarge
-    elif _BROKEN in details:
+    elif WRITE_FAILED in details:
         cls = errors.Unavailable
     hint = next((hint for part, hint in _TLS_HINTS.items() if part in details.lower()), _HINTS.get(cls, ""))
     if proxy and cls in (errors.Unavailable, errors.DeadlineExceeded):

@@ -9,7 +9,7 @@ Every call gets its deadline, token and request id here.
 import asyncio
 import uuid
 from collections.abc import AsyncGenerator, AsyncIterator, Generator, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import aclosing, contextmanager
 from copy import copy
 from dataclasses import replace
 from operator import methodcaller
@@ -24,6 +24,7 @@ from typing_extensions import Self
 from freerein import wire
 from freerein.clients.channel import MAX_MESSAGE_BYTES, Channel
 from freerein.clients.grpc_errors import service_error
+from freerein.clients.stream_responses import stream_responses
 from freerein.errors import Internal, InvalidInput, ServiceError, TooLarge, must_be
 
 if TYPE_CHECKING:
@@ -144,8 +145,9 @@ class Rpc(Generic[Request, Response, Blocking]):
         stream = self._grpc_call(sent, timeout=timeout_s, metadata=self._channel.metadata(request_id))
         try:
             with self._errors(request_id):
-                async for received in stream:
-                    yield self._unpacked(received)
+                async with aclosing(stream_responses(stream)) as responses:
+                    async for received in responses:
+                        yield self._unpacked(received)
         except (asyncio.CancelledError, ServiceError):
             if failures:
                 raise failures[0] from None
