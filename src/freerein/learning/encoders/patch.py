@@ -31,9 +31,9 @@ class PatchEncoder(PatchStem):
 
     def forward(self, frames: Tensor) -> Tensor:
         """Returns non-negative features, float32 (N, features), of frames uint8 (N, H, W, C)."""
-        x = functional.relu(self._patches(frames))  # (N, stem, rows, columns)
-        x = functional.relu(self.conv1(x) + self.coord_conv(_coordinates(x)))  # (N, body, rows / 2, columns / 2)
-        x = functional.relu(self.conv2(x)).amax(dim=(2, 3))  # (N, body)
+        x = self._patches(frames).relu_()  # (N, stem, rows, columns)
+        x = self.conv1(x).add_(self.coord_conv(_coordinates(x))).relu_()  # (N, body, rows / 2, columns / 2)
+        x = self.conv2(x).amax(dim=(2, 3)).relu()  # (N, body)
         return functional.relu(self.norm(self.head(x)))
 
     def _patches(self, frames: Tensor) -> Tensor:
