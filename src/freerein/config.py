@@ -8,7 +8,7 @@ from inspect import getattr_static
 from types import UnionType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, quoted
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -77,7 +77,9 @@ class _OneOf(_Checked):
     def check(self, value: Any, *, field: str, hint: str) -> None:
         if value not in self._names:
             raise InvalidInput(
-                f"`{self._name}` must be one of {', '.join(self._names)}; got another name.", field=field, hint=hint
+                f"`{self._name}` must be one of {', '.join(self._names)}; got {quoted(str(value))}.",
+                field=field,
+                hint=hint,
             )
 
 

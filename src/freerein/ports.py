@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, quoted
 
 _MAX_PORT = 65535
 _HOST = re.compile(r"[^\s/:@?#\[\]]+|\[[0-9a-fA-F:.%\w]+\]")
@@ -66,7 +66,7 @@ def addresses(service: str, environ: Mapping[str, str]) -> tuple[str, ...]:
     """
     if service not in PORTS:
         raise InvalidInput(
-            f"The service must be one of {', '.join(PORTS)}; got another name.",
+            f"The service must be one of {', '.join(PORTS)}; got {quoted(service)}.",
             field="service",
             hint="Use one of these names.",
         )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, quoted
 
 DTYPES: dict[str, np.dtype[Any]] = {
     "BOOL": np.dtype(np.bool_),
@@ -62,7 +62,7 @@ def decode(name: str, shape: Sequence[int], raw: bytes, *, field: str = "") -> n
     dtype = DTYPES.get(name)
     if dtype is None:
         raise InvalidInput(
-            f"`{field}` must have one of the datatypes {', '.join(DTYPES)}; got another name.",
+            f"`{field}` must have one of the datatypes {', '.join(DTYPES)}; got {quoted(name)}.",
             field=field,
             hint="Name the datatype as the Open Inference Protocol does, such as FP32.",
         )

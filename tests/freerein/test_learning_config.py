@@ -161,7 +161,7 @@ def test_a_single_value_stands_for_a_list_of_one() -> None:
         ({"places": ["a"]}, "`places` must be a list of objects"),
         ({"best": 1}, "`best` must be an object"),
         ({"scale": ["a"]}, "`scale` must be a list of finite numbers"),
-        ({"colour": "green"}, "`colour` must be one of red, blue; got another name"),
+        ({"colour": "green"}, "`colour` must be one of red, blue; got `green`"),
         ({"colour": 1}, "`colour` must be a string"),
     ],
 )

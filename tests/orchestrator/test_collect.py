@@ -135,7 +135,7 @@ def walkers(collect: Callable[..., Any], tmp_path: Path) -> list[dict[str, Any]]
     network.calibrate(torch.zeros(2, 33, 30, 3, dtype=torch.uint8))
     save_policy(network, tmp_path / "runs" / "walker" / "artifacts", card=card)
     sampled = {"policy": "walker", "share": 25, "stochastic": True, "conditions": ["warm"]}
-    return [{"policy": "walker", "share": 40}, sampled, {"share": 35}]
+    return [{"policy": "walker", "share": 40}, sampled, {"share": 35, "task": "grid-no-indicator"}]
 
 
 def test_a_mix_has_its_parts_in_shares_and_says_what_their_policies_learned_from(
@@ -151,6 +151,7 @@ def test_a_mix_has_its_parts_in_shares_and_says_what_their_policies_learned_from
     assert shares == pytest.approx([0.4, 0.25, 0.35], abs=0.06)
     assert [each["learned_timesteps"] for each in card["parts"]] == [64, 64, 0]
     assert [each["conditions"] for each in card["parts"]] == [[], ["warm"], []]
+    assert [each["task"] for each in card["parts"]] == ["", "", "grid-no-indicator"]
     dataset = Dataset(dataset_path(tmp_path, "mix"))
     parts = np.repeat(parts_of_rounds(run.config, dataset.lengths.tolist()), 2)[: len(dataset)]
     chosen = [{int(a) for i in np.flatnonzero(parts == part) for a in dataset.actions(i)[:, 0]} for part in range(3)]
@@ -171,7 +172,8 @@ def test_a_mix_has_its_parts_in_shares_and_says_what_their_policies_learned_from
         ({"behaviour": "random"}, "got 3 of random"),
         ({"parts": [{"policy": "nobody"}]}, "must exist"),
         ({"height": 20, "width": 20}, "it sees 33 x 30, and those are 20 x 20"),
-        ({"task": "pendulum"}, "same cameras and actions"),
+        ({"task": "pendulum", "parts": [{"policy": "walker"}]}, "same cameras and actions"),
+        ({"parts": [{"share": 1}, {"task": "pendulum"}]}, "`pendulum` has others than grid"),
     ],
 )
 def test_a_mix_that_cannot_be_recorded_is_refused(

@@ -157,7 +157,7 @@ def test_a_missing_run_and_one_without_a_policy_are_refused(evaluation: Callable
     bare = evaluation(RANDOM)
     with pytest.raises(InvalidInput, match="this one has not"):
         evaluation(RANDOM | {"policy": {"run": bare.folder.name}}).do()
-    with pytest.raises(NotFound, match="another name"):
+    with pytest.raises(NotFound, match="got `nothing`"):
         evaluation(RANDOM | {"task": "nothing"}).do()
 
 

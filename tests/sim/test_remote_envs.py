@@ -125,6 +125,6 @@ def test_a_task_is_found_by_its_name(address: str) -> None:
 def test_a_camera_is_found_by_its_name_and_the_first_by_none() -> None:
     task = TASKS["grid"].describe()
     assert find_camera(task, "").name == find_camera(task, "top").name == "top"
-    with pytest.raises(InvalidInput, match="must be one of the task's, top; got another") as refused:
+    with pytest.raises(InvalidInput, match="must be one of the task's, top; got `below`") as refused:
         find_camera(task, "below")
     assert (refused.value.field, refused.value.hint) == ("config.camera", "Leave it out for the first.")

@@ -1,7 +1,7 @@
 """Looks up a task of the sim service, and a camera of a task, by name."""
 
 from freerein.clients.sync_client import SyncClient
-from freerein.errors import NotFound, must_be
+from freerein.errors import NotFound, must_be, quoted
 from freerein.types.common import Camera
 from freerein.types.sim import ListTasksRequest, ListTasksResponse, Task
 
@@ -17,7 +17,7 @@ def select_task(tasks: ListTasksResponse, name: str, *, field: str = "task") -> 
         if task.name == name:
             return task
     raise NotFound(
-        f"`{field}` must name one of the sim service's {len(tasks.tasks)} tasks; got another name.",
+        f"`{field}` must name one of the sim service's {len(tasks.tasks)} tasks; got {quoted(name)}.",
         field=field,
         hint="`freerein sim tasks` lists them.",
     )
@@ -28,5 +28,5 @@ def find_camera(task: Task, name: str, *, field: str = "config.camera") -> Camer
     cameras = {camera.name: camera for camera in task.cameras}
     if name and name not in cameras:
         hint = "Leave it out for the first."
-        raise must_be("`camera`", f"one of the task's, {', '.join(cameras)}", "another", field=field, hint=hint)
+        raise must_be("`camera`", f"one of the task's, {', '.join(cameras)}", quoted(name), field=field, hint=hint)
     return cameras[name] if name else task.cameras[0]

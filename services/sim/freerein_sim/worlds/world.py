@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 import freerein.types.sim
-from freerein.errors import InvalidInput, Unimplemented, must_be
+from freerein.errors import InvalidInput, Unimplemented, must_be, quoted
 from freerein.types.common import ActionSpec, Camera, check_name
 from freerein_sim.worlds import camera_effects
 from freerein_sim.worlds.conditions import Condition
@@ -283,7 +283,7 @@ def check_view(spec: WorldSpec, camera: str, *, height: int, width: int) -> None
     """Raises InvalidInput where the camera is unknown, or the size out of bounds."""
     names = [each.name for each in spec.cameras]
     if camera not in names:
-        raise InvalidInput(f"Expected one of the cameras {', '.join(names)}; got another name.", field="camera")
+        raise InvalidInput(f"Expected one of the cameras {', '.join(names)}; got {quoted(camera)}.", field="camera")
     if not (1 <= height <= spec.max_size and 1 <= width <= spec.max_size):
         raise InvalidInput(
             f"Frames are 1 to {spec.max_size} pixels high and wide; got {height} x {width}.",

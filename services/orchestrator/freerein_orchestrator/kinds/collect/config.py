@@ -21,12 +21,14 @@ class MixPart:
         share: Its share of the timesteps, in proportion to those of the other parts.
         stochastic: Whether the policy's actions are sampled; else the most likely one is taken.
         conditions: Conditions of the task, besides those of the whole mix.
+        task: Its task, with the cameras and actions of the mix's; empty for the mix's own.
     """
 
     policy: str = RANDOM
     share: float = bounded(1.0, least=1e-6, most=1e6)
     stochastic: bool = False
     conditions: tuple[str, ...] = ()
+    task: str = ""
 
     @property
     def is_random(self) -> bool:
@@ -54,7 +56,7 @@ class CollectConfig:
         length: Curiosity's rollout length, and so its longest trajectory, in timesteps.
         num_envs: Parallel environments of curiosity and of a mix, and the number of trajectories in a row of a part.
         conditions: Conditions of the task, named variations; empty for the nominal task.
-        parts: Of a mix, objects with `policy`, `share`, `stochastic` and `conditions`; see below.
+        parts: Of a mix, objects with `policy`, `share`, `stochastic`, `conditions` and `task`; see below.
 
     Raises:
         InvalidInput: The dataset's name or a policy's is invalid, or a behaviour is given options of another.

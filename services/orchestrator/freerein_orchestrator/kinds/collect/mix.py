@@ -1,22 +1,22 @@
-"""Recording a mix: stored policies and the task's random behaviour, each under conditions of its own, in shares.
+"""Recording a mix: stored policies and random behaviour, each in a task and under conditions of its own, in shares.
 
 Trajectories are recorded in rounds of `num_envs`, each of one part. The part of a round is the one that lacks most
 timesteps of its share of those recorded so far, so that a killed run continues as an undisturbed one.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from freerein.clients import SyncClient
 from freerein.clients.tasks import find_task
-from freerein.data import Dataset
+from freerein.data import Dataset, DatasetSpec
 from freerein.data.dataset_recorder import dataset_spec, recording
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, quoted
 from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.learning.checkpoints import JSON
 from freerein.types.common import Trajectory
@@ -44,12 +44,15 @@ def record_mix(context: RunContext, config: CollectConfig, root: Path) -> list[d
         ServiceError: The sim service refuses, or the dataset holds something else.
     """
     sim, retry = context.client("sim"), context.retry()
-    task = retry.call(lambda: find_task(sim, config.task))
-    spec = dataset_spec(task, cameras=config.cameras, height=config.height, width=config.width)
-    ((height, width),) = {size[:2] for size in spec.cameras.values()}
+    named = [part.task or config.task for part in config.mix]
+    tasks = {config.task: retry.call(partial(find_task, sim, config.task))}
+    tasks |= {name: retry.call(partial(find_task, sim, name, field=PARTS_FIELD)) for name in named if name not in tasks}
+    spec = _spec(tasks, config)
     policies = _load(context, config.mix)
-    source = _Source(sim, retry, config, task, tuple(spec.cameras), (height, width))
-    handles = [source.handle(*each) for each in zip(config.mix, policies, strict=True)]
+    sources = [
+        _Source(sim, retry, config, part, tasks[name], spec, _handle(policy, tasks[name], part, spec))
+        for part, name, policy in zip(config.mix, named, policies, strict=True)
+    ]
     cards = [_describe(each) for each in policies]
     request: dict[str, JSON] = {
         **json.loads(json.dumps(asdict(config))),
@@ -61,15 +64,15 @@ def record_mix(context: RunContext, config: CollectConfig, root: Path) -> list[d
         while len(lengths) < config.count:
             number, begun = divmod(len(lengths), config.num_envs)
             part = parts_of_rounds(config, lengths)[number]
-            recorded = retry.call(partial(source.round, number, config.mix[part], handles[part]))
+            recorded = retry.call(partial(sources[part].round, number))
             for trajectory in recorded[begun : begun + config.count - len(lengths)]:
                 writer.append(trajectory)
                 lengths.append(len(trajectory.actions))
             metrics.append(len(lengths), {"timesteps": sum(lengths)})
             retry.interrupt()
     given = timesteps_of_parts(config, lengths)
-    parts = zip(config.mix, cards, given, strict=True)
-    return [{**asdict(part), **card, "timesteps": timesteps} for part, card, timesteps in parts]
+    recorded = zip(config.mix, cards, given, strict=True)
+    return [{**asdict(part), **card, "timesteps": timesteps} for part, card, timesteps in recorded]
 
 
 def parts_of_rounds(config: CollectConfig, lengths: Sequence[int]) -> list[int]:
@@ -94,40 +97,27 @@ def timesteps_of_parts(config: CollectConfig, lengths: Sequence[int]) -> list[in
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """Where rounds come from: frames of `cameras`, all of one size, (height, width)."""
+    """Where the rounds of a part come from: a policy, or without one the task's random behaviour."""
 
     sim: SyncClient
     retry: Retry
     config: CollectConfig
+    part: MixPart
     task: Task
-    cameras: tuple[str, ...]
-    size: Size
+    spec: DatasetSpec
+    handle: PolicyHandle | None
 
-    def handle(self, part: MixPart, policy: StoredPolicy | None) -> PolicyHandle | None:
-        """Returns the policy that acts in a part; None for the task's random behaviour."""
-        if policy is None:
-            return None
-        handle = stored_policy(policy, self.task, stochastic=part.stochastic)
-        if (handle.height, handle.width) != self.size:
-            raise InvalidInput(
-                f"A policy acts on the frames that are recorded; it sees {handle.height} x {handle.width}, and those "
-                f"are {self.size[0]} x {self.size[1]}.",
-                field="config.height",
-                hint="Leave `height` and `width` out, or record with a policy of that size.",
-            )
-        return handle
-
-    def round(self, number: int, part: MixPart, handle: PolicyHandle | None) -> Sequence[Trajectory]:
+    def round(self, number: int) -> Sequence[Trajectory]:
         """Returns the trajectories of a round, `num_envs` of them: the same however often it is called."""
-        config, seed = self.config, derive_seed(self.config.seed, number)
-        conditions, (height, width) = (*config.conditions, *part.conditions), self.size
-        if handle is None:
+        config, seed, cameras = self.config, derive_seed(self.config.seed, number), tuple(self.spec.cameras)
+        conditions, (height, width) = (*config.conditions, *self.part.conditions), _size(self.spec)
+        if self.handle is None:
             request = DemonstrateRequest(
                 self.task.name,
                 "random",
                 count=config.num_envs,
                 seed=seed,
-                cameras=self.cameras,
+                cameras=cameras,
                 height=height,
                 width=width,
                 conditions=conditions,
@@ -137,13 +127,50 @@ class _Source:
         session = CreateSessionRequest(
             self.task.name, num_envs=config.num_envs, seed=seed, height=height, width=width, conditions=conditions
         )
-        episodes = run_episodes(self.sim, session, handle, self.retry.interrupt, cameras=self.cameras)
+        episodes = run_episodes(self.sim, session, self.handle, self.retry.interrupt, cameras=cameras)
         return [
             Trajectory(
-                {camera: each.frames[camera][:-1] for camera in self.cameras}, each.actions, terminated=each.terminated
+                {camera: each.frames[camera][:-1] for camera in cameras}, each.actions, terminated=each.terminated
             )
             for each in episodes
         ]
+
+
+def _spec(tasks: Mapping[str, Task], config: CollectConfig) -> DatasetSpec:
+    """Returns the spec of the dataset. Raises InvalidInput where the task of a part has other frames or actions."""
+    size = {"cameras": config.cameras, "height": config.height, "width": config.width}
+    specs = {name: dataset_spec(task, **size) for name, task in tasks.items()}
+    own = specs[config.task]
+    for name, each in specs.items():
+        if replace(each, task=own.task, skills=own.skills, robot_type=own.robot_type) != own:
+            raise InvalidInput(
+                f"The tasks of a mix must have the same cameras, actions and control period; {quoted(name)} has others "
+                f"than {config.task}.",
+                field=PARTS_FIELD,
+                hint="Record it as a dataset of its own.",
+            )
+    return own
+
+
+def _size(spec: DatasetSpec) -> Size:
+    """Returns height and width of the frames of all cameras."""
+    ((height, width),) = {size[:2] for size in spec.cameras.values()}
+    return height, width
+
+
+def _handle(policy: StoredPolicy | None, task: Task, part: MixPart, spec: DatasetSpec) -> PolicyHandle | None:
+    """Returns a policy as it acts. Raises InvalidInput where it does not act on the frames that are recorded."""
+    if policy is None:
+        return None
+    handle, (height, width) = stored_policy(policy, task, stochastic=part.stochastic), _size(spec)
+    if (handle.height, handle.width) != (height, width):
+        raise InvalidInput(
+            f"A policy acts on the frames that are recorded; it sees {handle.height} x {handle.width}, and those are "
+            f"{height} x {width}.",
+            field="config.height",
+            hint="Leave `height` and `width` out, or record with a policy of that size.",
+        )
+    return handle
 
 
 def _load(context: RunContext, parts: Sequence[MixPart]) -> list[StoredPolicy | None]:
