@@ -138,8 +138,8 @@ class _Source:
 
 def _spec(tasks: Mapping[str, Task], config: CollectConfig) -> DatasetSpec:
     """Returns the spec of the dataset. Raises InvalidInput where the task of a part has other frames or actions."""
-    size = {"cameras": config.cameras, "height": config.height, "width": config.width}
-    specs = {name: dataset_spec(task, **size) for name, task in tasks.items()}
+    recorded = partial(dataset_spec, cameras=config.cameras, height=config.height, width=config.width)
+    specs = {name: recorded(task) for name, task in tasks.items()}
     own = specs[config.task]
     for name, each in specs.items():
         if replace(each, task=own.task, skills=own.skills, robot_type=own.robot_type) != own:
