@@ -50,7 +50,7 @@ def record_mix(context: RunContext, config: CollectConfig, root: Path) -> list[d
     spec = _spec(tasks, config)
     policies = _load(context, config.mix)
     sources = [
-        _Source(sim, retry, config, part, tasks[name], spec, _handle(policy, tasks[name], part, spec))
+        _Source(sim, retry, config, tasks[name], part, spec, _handle(policy, tasks[name], part, spec))
         for part, name, policy in zip(config.mix, named, policies, strict=True)
     ]
     cards = [_describe(each) for each in policies]
@@ -63,16 +63,16 @@ def record_mix(context: RunContext, config: CollectConfig, root: Path) -> list[d
         metrics = context.metrics_logger(min(len(lengths), config.count - 1))
         while len(lengths) < config.count:
             number, begun = divmod(len(lengths), config.num_envs)
-            part = parts_of_rounds(config, lengths)[number]
-            recorded = retry.call(partial(sources[part].round, number))
+            source = sources[parts_of_rounds(config, lengths)[number]]
+            recorded = retry.call(partial(source.round, number))
             for trajectory in recorded[begun : begun + config.count - len(lengths)]:
                 writer.append(trajectory)
                 lengths.append(len(trajectory.actions))
             metrics.append(len(lengths), {"timesteps": sum(lengths)})
             retry.interrupt()
     given = timesteps_of_parts(config, lengths)
-    recorded = zip(config.mix, cards, given, strict=True)
-    return [{**asdict(part), **card, "timesteps": timesteps} for part, card, timesteps in recorded]
+    parts = zip(config.mix, cards, given, strict=True)
+    return [{**asdict(part), **card, "timesteps": timesteps} for part, card, timesteps in parts]
 
 
 def parts_of_rounds(config: CollectConfig, lengths: Sequence[int]) -> list[int]:
@@ -102,8 +102,8 @@ class _Source:
     sim: SyncClient
     retry: Retry
     config: CollectConfig
-    part: MixPart
     task: Task
+    part: MixPart
     spec: DatasetSpec
     handle: PolicyHandle | None
 
