@@ -27,7 +27,7 @@ from freerein_orchestrator.envs.episodes import replay, run_episodes
 from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import check_predicates
 from freerein_orchestrator.kinds import KINDS
-from freerein_orchestrator.kinds.evaluate.demonstration import efficiency, times_in_order, times_left
+from freerein_orchestrator.kinds.evaluate.demonstration import efficiency, stopped_at, times_in_order, times_left
 from freerein_orchestrator.kinds.evaluate.form import enlarged
 from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
 from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds, known_skills, places_in_recipe
@@ -442,6 +442,13 @@ def test_a_robot_has_left_a_landmark_when_its_next_goal_begins_or_at_the_end() -
     assert times_left(np.array([0, 0, 1, 3]), demonstrated, length=4).tolist() == [2, 3, 3]
     assert times_left(np.array([0, 1]), demonstrated, length=2).tolist() == [1, 2, 2]
     assert times_left(None, demonstrated, length=4).tolist() == [2, 4, 4]
+
+
+def test_a_robot_stops_where_it_first_says_that_it_is_at_the_last_landmark() -> None:
+    at = np.array([[1, 0, 0, 0], [0, 0, 1, 0]], bool)
+    assert stopped_at(at, np.array([1, 1, 2]))
+    assert not stopped_at(at, np.array([1, 2, 2]))
+    assert not stopped_at(at, np.array([0, 1, 1]))
 
 
 def test_an_efficiency_is_of_the_way_to_the_farthest_landmark_and_at_most_one() -> None:

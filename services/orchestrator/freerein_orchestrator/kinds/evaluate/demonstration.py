@@ -130,6 +130,17 @@ def times_left(
     return np.where(is_over.any(axis=0), is_over.argmax(axis=0), length)
 
 
+def stopped_at(at_landmarks: Flags, goal_index: npt.NDArray[np.int64]) -> bool:
+    """Returns whether a robot was at the last of N landmarks when it first said that this one, too, was over.
+
+    Args:
+        at_landmarks: bool (N, T + 1), whether it was at each landmark at each time.
+        goal_index: int64 (T,), number of landmarks that were over at each time.
+    """
+    said = np.flatnonzero(goal_index >= len(at_landmarks))
+    return bool(at_landmarks[-1, said[:1]].any())
+
+
 def efficiency(demonstrated: npt.NDArray[np.int64], times: Sequence[int]) -> float:
     """Returns the demonstration's actions by those of a robot, to the farthest landmark that it reached; at most 1.
 

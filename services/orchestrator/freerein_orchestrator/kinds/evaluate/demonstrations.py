@@ -26,6 +26,7 @@ from freerein_orchestrator.kinds.evaluate.demonstration import (
     Demonstration,
     demonstrate,
     efficiency,
+    stopped_at,
     times_in_order,
     times_left,
 )
@@ -184,7 +185,8 @@ class DemonstrationsEvaluation:
                 "confidence": episode.goal_confidence[active].tolist(),
                 "at_landmark": pursuit.at_landmark[active].tolist(),
                 "recognized": float(pursuit.recognized.mean()),
-                "ended": bool(not active[-1] or episode.goal_index[-1] >= pursuit.count),
+                "ended": bool(episode.goal_index[-1] >= pursuit.count),
+                **{_figure("stopped", judge): stopped_at(each, episode.goal_index) for judge, each in at.items()},
             }
         return Trial(values, {FILMED: episode.actions})
 
@@ -277,7 +279,8 @@ def _figures(values: Sequence[Mapping[str, Any]], judges: Sequence[str], *, seed
         numbers = [each[name] for each in values]
         figures[name] = median_figure(numbers)
         figures[f"{name}.mean"] = mean_figure(numbers, seed=seed)
-    for name in ("success", "contact", "recognized", "ended"):
+    stopped = [_figure("stopped", judge) for judge in judges]
+    for name in ("success", "contact", "recognized", "ended", *stopped):
         if name in values[0]:
             figures[name] = mean_figure([float(each[name]) for each in values], seed=seed)
     if "confidence" in values[0]:
