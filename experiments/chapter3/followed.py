@@ -1,45 +1,40 @@
-"""What is measured of policies that follow demonstrations, and in which maps.
+"""What is measured of policies that follow demonstrations.
 
 Samples are named `<acting>.<setting>.<figure>`, such as `greedy.a.completion`; a trial is an episode.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from experiments.chapter3.exploration import Setting
 from experiments.robustness.evaluated import flagged
 from experiments.workbench.pipelines import Trials
 from experiments.workbench.results import Sample
 
-EXPERT, RANDOM_SEARCH, TRUE_SWITCHING = "expert", "random_search", "true_switching"
-CEILINGS = (EXPERT, TRUE_SWITCHING)
 GREEDY, SAMPLED = ACTING = "greedy", "sampled"
 
-CHOICE, TEST = "choice", "test"
-SETTINGS: Mapping[str, Mapping[str, str]] = {
-    CHOICE: {"a": "doom", "v1": "doom.v1"},
-    TEST: {"v2": "doom.v2", "b": "doom.b"},
-}
-"""Tasks by name: map A, with other textures V1 and V2, and map B."""
 
-CHOOSES = "v1"
-"""The setting that chooses between greedy and sampled actions."""
+def samples(
+    found: Mapping[str, Trials], settings: Mapping[str, Setting], figures: Sequence[str]
+) -> Iterator[tuple[str, Sample]]:
+    """Yields figures by the way of acting and setting, and the quality of the policy's own flag.
 
-DEMONSTRATIONS = 5
-"""Of each setting: trial i follows that of number i modulo 5."""
-
-COMPLETION, EFFICIENCY = FIGURES = "completion", "efficiency"
-
-
-def samples(found: Mapping[str, Trials]) -> Iterator[tuple[str, Sample]]:
-    """Yields completion and efficiency by the way of acting and setting, and the quality of the policy's own flag."""
+    A figure that trials do not have, such as where a policy without goals stopped, is left out.
+    """
     for acting, trials in found.items():
-        for setting, episodes in trials.items():
-            for figure in FIGURES:
-                yield f"{acting}.{setting}.{figure}", Sample([each[figure] for each in episodes], [1] * len(episodes))
-            if _has_flag(episodes[0]):
-                for name, sample in flagged(episodes, "at_landmark"):
-                    yield f"{acting}.{setting}.{name}", sample
+        for name, setting in settings.items():
+            of_evaluations = [trials[each] for each in setting.names(name)]
+            episodes = [trial for in_turn in zip(*of_evaluations, strict=True) for trial in in_turn]
+            for figure in figures:
+                if figure in episodes[0]:
+                    yield f"{acting}.{name}.{figure}", _sample([each[figure] for each in episodes])
+            if "confidence" in episodes[0]:
+                for quality, sample in flagged(episodes, "at_landmark"):
+                    yield f"{acting}.{name}.{quality}", sample
 
 
-def _has_flag(trial: Mapping[str, Any]) -> bool:
-    return "confidence" in trial
+def _sample(values: Sequence[Any]) -> Sample:
+    """Returns the sample of a number of each trial, or of the numbers at its landmarks."""
+    if isinstance(values[0], list):
+        return Sample([sum(each) for each in values], [len(each) for each in values])
+    return Sample(values, [1] * len(values))

@@ -1,22 +1,15 @@
 """The table of policies that follow demonstrations: its claims, and a row for each fit."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from experiments.chapter3 import resampled
-from experiments.chapter3.followed import (
-    ACTING,
-    CEILINGS,
-    CHOOSES,
-    COMPLETION,
-    FIGURES,
-    GREEDY,
-    SETTINGS,
-)
+from experiments.chapter3.exploration import CEILINGS, DATA_OPTION, Exploration, is_fitted
+from experiments.chapter3.followed import ACTING, GREEDY
 from experiments.robustness.evaluated import FLAG_AUROC, FLAG_ECE
 from experiments.workbench import claims
 from experiments.workbench.claims import Claim
@@ -24,25 +17,79 @@ from experiments.workbench.plots import interval_plot
 from experiments.workbench.results import ArmResult, Sample
 from experiments.workbench.table import Picture, Section, Table, words
 
-_PER_CENT, _SEEDS, _DIGITS = 100, 3, 3
-_COMMAND = "python -m experiments run doom"
-_GSP, _NO_CONSISTENCY, _CURIOSITY, _RANDOM = "gsp_features", "gsp_no_consistency", "curiosity", "random"
-_NAMES = [setting for of_kind in SETTINGS.values() for setting in of_kind]
-_LEAST: Mapping[str, float] = {"a": 63.0, "v2": 35.0, "b": 32.0}
-_DISSERTATION: Mapping[tuple[str, str, str], float] = {
-    (_GSP, _CURIOSITY, "a"): 78.2,
-    (_GSP, _CURIOSITY, "v2"): 49.4,
-    (_GSP, _CURIOSITY, "b"): 47.1,
-}
-"""Median completion, per cent; tables 3.3 and A.2."""
+_SEEDS, _DIGITS = 3, 3
+_LEAST_AUROC = 0.85
+_STATISTICS = {"mean": resampled.mean, "median": resampled.median}
 
-_CEILING, _FLAG = 95.0, 0.85
+
+@dataclass(frozen=True)
+class Measured:
+    """A figure that claims are made of.
+
+    Attributes:
+        setting: Where.
+        figure: Its name.
+        unit: Factor of its values.
+        statistic: Of its trials: `mean` or `median`.
+        least: What the claimed row needs; None where nothing is claimed of it.
+        ceiling: What ceilings need; None where they need nothing.
+        dissertation: The dissertation's value of the claimed row.
+    """
+
+    setting: str
+    figure: str
+    unit: float = 100
+    statistic: Literal["mean", "median"] = "mean"
+    least: float | None = None
+    ceiling: float | None = None
+    dissertation: float | None = None
+
+
+@dataclass(frozen=True)
+class Gain:
+    """By how much the claimed row is better than another.
+
+    Attributes:
+        claim: Name of the claim.
+        method: The other row.
+        data: The data of its fits.
+        measured: What is compared.
+        seeds: Fewest pairs of fits.
+        is_less: Whether a smaller figure is better.
+    """
+
+    claim: str
+    method: str
+    data: str
+    measured: Measured
+    seeds: int = _SEEDS
+    is_less: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What a table claims, beside a row for each fit.
+
+    Attributes:
+        title: Heading.
+        measured: The figures.
+        gains: The comparisons.
+        flags: Setting in which the claimed row's flag is judged, on the states that it visits.
+        unit: Unit of the values, for the picture.
+    """
+
+    title: str
+    measured: Sequence[Measured]
+    gains: Sequence[Gain]
+    flags: str
+    unit: str = "per cent"
 
 
 @dataclass(frozen=True)
 class _Row:
-    """All fits of a row to one exploration: samples by name, by seed. What a row lacks has not been run."""
+    """All fits of a row to one exploration, by seed. What a row lacks has not been run."""
 
+    exploration: Exploration
     method: str
     data: str
     arms: Sequence[ArmResult]
@@ -51,52 +98,70 @@ class _Row:
     def name(self) -> str:
         return "_".join(each for each in (self.method, self.data) if each)
 
+    @property
+    def is_claimed(self) -> bool:
+        return (self.method, self.data) == self.exploration.claimed
+
     def by_seed(self, name: str) -> dict[int, Sample]:
         """Returns a sample of each seed that has it."""
         return {arm.seed: arm.samples[name] for arm in self.arms if name in arm.samples}
 
     @property
     def acting(self) -> str:
-        """The way of acting that follows best in the setting that chooses."""
-        found = {acting: self.by_seed(f"{acting}.{CHOOSES}.{COMPLETION}") for acting in ACTING}
-        return max((each for each in ACTING if found[each]), key=lambda each: claims.mean([*found[each].values()]))
+        """The way of acting that follows best where that is chosen; empty where it has not been evaluated."""
+        setting, figure = self.exploration.chooses
+        found = {acting: self.by_seed(f"{acting}.{setting}.{figure}") for acting in ACTING}
+        known = [acting for acting in ACTING if found[acting]]
+        if known:
+            return max(known, key=lambda acting: claims.mean([*found[acting].values()]))
+        return "" if is_fitted(self.arms[0]) and self.method not in CEILINGS else GREEDY
+
+    def episodes(self, measured: Measured, *, acting: str) -> dict[int, resampled.Episodes]:
+        """Returns a figure of each seed that has it, float64 (1, demonstrations, starts)."""
+        demonstrations = self.exploration.all_settings[measured.setting].demonstrations
+        found = self.by_seed(f"{acting}.{measured.setting}.{measured.figure}")
+        return {
+            seed: measured.unit * resampled.by_demonstration([sample], demonstrations=demonstrations)
+            for seed, sample in found.items()
+        }
 
 
-def table(results: Sequence[ArmResult]) -> Table:
+def table(exploration: Exploration, results: Sequence[ArmResult], *, report: Report) -> Table:
     """Returns the table of the arms that have results."""
-    rows = _rows(results)
-    made = tuple(_claims(rows))
-    shown = [claim for claim in made if claim.claim.startswith("doom_completion")]
-    draw = partial(interval_plot, shown, title="Demonstrations followed", unit="median completion, per cent")
+    rows = _rows(exploration, results)
+    made = tuple(_claims(rows, report))
+    shown = [claim for claim in made if claim.seeds and "flag" not in claim.claim]
+    draw = partial(interval_plot, shown, title="Demonstrations followed", unit=report.unit)
     return Table(
-        title="Following demonstrations in rooms and corridors (Tables 3.3 and A.2)",
-        text=words("doom"),
+        title=report.title,
+        text=words(exploration.world),
         sections=tuple(
-            Section(_header(figure), tuple(_cells(rows, figure)), f"{figure.capitalize()}, %") for figure in FIGURES
+            Section(_header(exploration), tuple(_cells(rows, figure)), figure) for figure in exploration.figures
         ),
         claims=made,
-        picture=Picture("Completion of demonstrations by row", draw),
+        picture=Picture("Demonstrations followed, by row and setting", draw),
     )
 
 
-def _rows(results: Sequence[ArmResult]) -> list[_Row]:
+def _rows(exploration: Exploration, results: Sequence[ArmResult]) -> list[_Row]:
     """Returns rows whose way of acting can be chosen."""
     found: dict[tuple[str, str], list[ArmResult]] = {}
     for each in sorted(results, key=lambda result: result.seed):
-        found.setdefault((each.method, each.options.get("data", "")), []).append(each)
-    rows = [_Row(method, data, arms) for (method, data), arms in found.items()]
-    return [row for row in rows if row.by_seed(f"{GREEDY}.{CHOOSES}.{COMPLETION}")]
+        found.setdefault((each.method, each.options.get(DATA_OPTION, "")), []).append(each)
+    rows = [_Row(exploration, method, data, arms) for (method, data), arms in found.items()]
+    return [row for row in rows if row.acting]
 
 
-def _header(figure: str) -> tuple[str, ...]:
-    cells = (f"{name.upper()}, {acting}" for name in _NAMES for acting in ACTING)
+def _header(exploration: Exploration) -> tuple[str, ...]:
+    cells = (f"{name}, {acting}" for name in exploration.all_settings for acting in ACTING)
     return ("row", "data", "seed", *cells)
 
 
 def _cells(rows: Sequence[_Row], figure: str) -> Iterator[tuple[str, ...]]:
     """Yields the cells of every fit: median with its interval over episodes, and the mean."""
     for row in rows:
-        columns = [row.by_seed(f"{acting}.{name}.{figure}") for name in _NAMES for acting in ACTING]
+        names = row.exploration.all_settings
+        columns = [row.by_seed(f"{acting}.{name}.{figure}") for name in names for acting in ACTING]
         for seed in sorted({arm.seed for arm in row.arms}):
             yield row.method, row.data, str(seed), *(_cell(column.get(seed)) for column in columns)
 
@@ -104,92 +169,94 @@ def _cells(rows: Sequence[_Row], figure: str) -> Iterator[tuple[str, ...]]:
 def _cell(sample: Sample | None) -> str:
     if sample is None:
         return ""
-    percent = _PER_CENT * np.array(sample.totals, np.float64)
-    low, high = resampled.median_interval(percent)
-    return f"{np.median(percent):.0f} [{low:.0f}, {high:.0f}], mean {percent.mean():.1f}"
+    values = np.divide(sample.totals, sample.counts)
+    low, high = resampled.median_interval(values)
+    if set(sample.totals) <= {0, 1}:
+        return f"{values.mean():.1%}"
+    return f"{np.median(values):.3g} [{low:.3g}, {high:.3g}], mean {values.mean():.3g}"
 
 
-def _claims(rows: Sequence[_Row]) -> Iterator[Claim]:
-    """Yields completions of each row, what curiosity and consistency bring, and how well the flag tells landmarks."""
+def _claims(rows: Sequence[_Row], report: Report) -> Iterator[Claim]:
+    """Yields what each row comes to, what the claimed one gains on others, and how well its flag tells landmarks."""
     for row in rows:
-        yield from _completions(row)
-    found = {(row.method, row.data): row for row in rows}
-    gsp = found.get((_GSP, _CURIOSITY))
-    if gsp:
-        for name, other, setting in (
-            ("doom_curiosity", found.get((_GSP, _RANDOM)), "a"),
-            ("doom_consistency", found.get((_NO_CONSISTENCY, _CURIOSITY)), "b"),
-        ):
-            if other and (gain := _gain(name, gsp, other, setting)):
-                yield gain
-        yield from _flags(gsp)
+        yield from _values(row, report)
+    by_name = {(row.method, row.data): row for row in rows}
+    for claimed in [row for row in rows if row.is_claimed]:
+        for gain in report.gains:
+            if other := by_name.get((gain.method, gain.data)):
+                yield from _gain(gain, claimed, other)
+        yield from _flags(claimed, report.flags)
 
 
-def _completions(row: _Row) -> Iterator[Claim]:
-    is_claimed = (row.method, row.data) == (_GSP, _CURIOSITY)
-    for setting in _NAMES:
-        by_seed = row.by_seed(f"{row.acting}.{setting}.{COMPLETION}")
+def _values(row: _Row, report: Report) -> Iterator[Claim]:
+    world, is_ceiling = row.exploration.world, row.method in CEILINGS
+    for measured in report.measured:
+        by_seed, statistic = row.episodes(measured, acting=row.acting), _STATISTICS[measured.statistic]
         if not by_seed:
             continue
-        episodes = _PER_CENT * resampled.by_demonstration([*by_seed.values()])
-        value, (low, high) = resampled.median(episodes), resampled.interval(episodes, resampled.median)
-        least = _CEILING if row.method in CEILINGS else _LEAST.get(setting) if is_claimed else None
-        has_seeds = row.method in CEILINGS or len(by_seed) >= _SEEDS
+        episodes = np.concatenate([*by_seed.values()])
+        value, (low, high) = statistic(episodes), resampled.interval(episodes, statistic)
+        is_claim = row.is_claimed and measured.least is not None
+        least = measured.least if is_claim else measured.ceiling if is_ceiling else None
+        figure = measured.figure.replace(".", "_")
         yield Claim(
-            claim=f"doom_gsp_{setting}" if is_claimed else f"doom_completion_{row.name}_{setting}",
+            claim=f"{world}_gsp_{measured.setting}" if is_claim else f"{world}_{figure}_{row.name}_{measured.setting}",
             value=round(value, _DIGITS),
             low=round(low, _DIGITS),
             high=round(high, _DIGITS),
             trials=episodes[0].size,
-            dissertation=_DISSERTATION.get((row.method, row.data, setting)),
+            dissertation=measured.dissertation if is_claim else None,
             target=least,
-            met=None if least is None else has_seeds and value >= least,
-            **_common(row.arms, len(by_seed)),
+            met=None if least is None else (is_ceiling or len(episodes) >= _SEEDS) and value >= least,
+            **_common(row.arms, len(episodes)),
         )
 
 
-def _gain(name: str, row: _Row, other: _Row, setting: str) -> Claim | None:
-    """Returns by how much more a row completes, paired by seed and episode; met where intervals are apart, too."""
-    own = row.by_seed(f"{row.acting}.{setting}.{COMPLETION}")
-    others = other.by_seed(f"{row.acting}.{setting}.{COMPLETION}")
+def _gain(gain: Gain, row: _Row, other: _Row) -> Iterator[Claim]:
+    """Yields by how much a row is better, paired by seed and episode; met where intervals are apart, too.
+
+    Both act as the first does.
+    """
+    own, others = (each.episodes(gain.measured, acting=row.acting) for each in (row, other))
     seeds = sorted(own.keys() & others.keys())
     if not seeds:
-        return None
-    first, second = (_PER_CENT * resampled.by_demonstration([each[seed] for seed in seeds]) for each in (own, others))
+        return
+    sign = -1 if gain.is_less else 1
+    first, second = (sign * np.concatenate([each[seed] for seed in seeds]) for each in (own, others))
     low, high = resampled.interval(first - second, resampled.mean)
     is_apart = resampled.interval(first, resampled.mean)[0] > resampled.interval(second, resampled.mean)[1]
-    return Claim(
-        claim=name,
+    yield Claim(
+        claim=gain.claim,
         value=round(resampled.mean(first - second), _DIGITS),
         low=round(low, _DIGITS),
         high=round(high, _DIGITS),
         trials=first[0].size,
-        baseline=round(resampled.mean(second), _DIGITS),
+        baseline=round(abs(resampled.mean(second)), _DIGITS),
         target=0.0,
-        met=len(seeds) >= _SEEDS and low > 0 and is_apart,
+        met=len(seeds) >= gain.seeds and low > 0 and is_apart,
         **_common([*row.arms, *other.arms], len(seeds)),
     )
 
 
-def _flags(row: _Row) -> Iterator[Claim]:
-    """Yields how well the policy's flag tells landmarks on the states that it visits, in the map of its data."""
-    for figure, least in ((FLAG_AUROC, _FLAG), (FLAG_ECE, None)):
-        by_seed = row.by_seed(f"{row.acting}.a.{figure}")
-        if by_seed:
-            samples = [*by_seed.values()]
+def _flags(row: _Row, setting: str) -> Iterator[Claim]:
+    """Yields how well the policy's flag tells landmarks on the states that it visits."""
+    for figure, least in ((FLAG_AUROC, _LEAST_AUROC), (FLAG_ECE, None)):
+        samples = [*row.by_seed(f"{row.acting}.{setting}.{figure}").values()]
+        if samples:
             met = None if least is None else len(samples) >= _SEEDS and claims.mean(samples) >= least
             yield claims.claim_of(
-                f"doom_{figure.replace('.', '_')}",
+                f"{row.exploration.world}_{figure.replace('.', '_')}",
                 row.arms,
                 samples,
                 digits=4,
                 target=least,
                 met=met,
                 seeds=len(samples),
-                command=_COMMAND,
+                command=f"python -m experiments run {row.exploration.world}",
             )
 
 
 def _common(arms: Sequence[ArmResult], seeds: int) -> dict[str, Any]:
     minutes = round(sum(arm.minutes for arm in arms), 2)
-    return {"seeds": seeds, "minutes": minutes, "world_version": arms[0].world_version, "command": _COMMAND}
+    command = f"python -m experiments run {arms[0].world}"
+    return {"seeds": seeds, "minutes": minutes, "world_version": arms[0].world_version, "command": command}

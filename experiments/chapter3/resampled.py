@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from experiments.chapter3.followed import DEMONSTRATIONS
 from experiments.workbench.results import Sample
 
 Episodes = npt.NDArray[np.float64]
@@ -16,10 +15,10 @@ Statistic = Callable[[Episodes], float]
 _RESAMPLES, _SEED = 2000, 0
 
 
-def by_demonstration(samples: Sequence[Sample]) -> Episodes:
-    """Returns the trials of each seed, float64 (seeds, demonstrations, starts)."""
-    totals = np.array([each.totals for each in samples], np.float64)
-    return totals.reshape(len(samples), -1, DEMONSTRATIONS).swapaxes(1, 2)
+def by_demonstration(samples: Sequence[Sample], *, demonstrations: int) -> Episodes:
+    """Returns the figure of each trial of each seed; trial i follows the demonstration of number i modulo theirs."""
+    figures = np.array([np.divide(each.totals, each.counts) for each in samples], np.float64)
+    return figures.reshape(len(samples), -1, demonstrations).swapaxes(1, 2)
 
 
 def median(episodes: Episodes) -> float:

@@ -1,0 +1,115 @@
+"""What differs between the worlds of chapter 3: data, rows, and the settings in which demonstrations are followed."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from experiments.robustness.evaluated import evaluate
+from experiments.workbench.arms import Arm
+from experiments.workbench.pipelines import Step, step
+
+EXPERT, RANDOM_SEARCH, TRUE_SWITCHING = "expert", "random_search", "true_switching"
+CEILINGS = (EXPERT, TRUE_SWITCHING)
+
+CHOICE, TEST = "choice", "test"
+"""Kinds of settings: those that choose between greedy and sampled actions, and those of claims."""
+
+RECOGNIZER, POLICY = "recognizer", "policy"
+DATA_OPTION, SETTINGS_OPTION = "data", "settings"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Demonstrations that are followed under one condition.
+
+    Attributes:
+        evaluations: Configuration of each evaluation, beside its policy. Several follow demonstrations of their own;
+            their trials are taken in turn.
+        demonstrations: Of all together: trial i follows that of number i modulo their number.
+    """
+
+    evaluations: Sequence[Mapping[str, Any]]
+    demonstrations: int
+
+    def names(self, name: str) -> list[str]:
+        """Returns the names of the steps that evaluate it, given its own."""
+        several = len(self.evaluations) > 1
+        return [f"{name}_{number}" if several else name for number in range(len(self.evaluations))]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exploration:
+    """A world of chapter 3 as it is explored, learned and evaluated.
+
+    Attributes:
+        world: Its task, which names the experiment.
+        version: Raised where its results are made otherwise.
+        shared: Steps that make the data of each exploration, datasets of its name, and the goal recognizer.
+        fit: Configuration that all fits have.
+        rows: What each row's fit has beside that.
+        seeds: Number of fits of each row to the data of each exploration.
+        claimed: Row and data that claims rest on, and whose policy has the ceiling of true switching.
+        settings: By kind and name.
+        chooses: Setting and figure that choose between greedy and sampled actions.
+        figures: Of each trial; numbers, or lists by landmark, of which the mean counts.
+    """
+
+    world: str
+    version: int
+    shared: Sequence[Step]
+    fit: Mapping[str, Any]
+    rows: Mapping[str, Mapping[str, Any]]
+    seeds: Mapping[str, Mapping[str, int]]
+    claimed: tuple[str, str]
+    settings: Mapping[str, Mapping[str, Setting]]
+    chooses: tuple[str, str]
+    figures: Sequence[str]
+
+    @property
+    def arms(self) -> tuple[Arm, ...]:
+        """What needs no fit, then all fits of a seed before those of the next; the settings of the tests are last."""
+        rows = [(data, row, seeds) for data, rows in self.seeds.items() for row, seeds in rows.items()]
+        fits = [
+            (row, data, seed)
+            for seed in range(max(seeds for _, _, seeds in rows))
+            for data, row, seeds in rows
+            if seed < seeds
+        ]
+        without = [(EXPERT, "", 0), (RANDOM_SEARCH, "", 0), (TRUE_SWITCHING, self.claimed[1], 0)]
+        return tuple(
+            Arm(self.world, row, {**({DATA_OPTION: data} if data else {}), SETTINGS_OPTION: settings}, seed)
+            for settings in self.settings
+            for row, data, seed in [*without, *fits]
+        )
+
+    @property
+    def all_settings(self) -> dict[str, Setting]:
+        """Settings of all kinds, by name."""
+        return {name: setting for of_kind in self.settings.values() for name, setting in of_kind.items()}
+
+    def fit_step(self, arm: Arm) -> Step:
+        """Returns the step that fits the policy of an arm; that of true switching is the one that claims rest on."""
+        row = self.rows[self.claimed[0] if arm.method == TRUE_SWITCHING else arm.method]
+        named = {} if row.get("stop") else {"recognizer": RECOGNIZER}
+        config = {"method": "goal_conditioned", "seed": arm.seed, **named, **self.fit, **row}
+        data = arm.options[DATA_OPTION]
+        return step(POLICY, "fit", service="imitation", dataset=data, model_name=POLICY, config=config)
+
+    def steps(self, arm: Arm) -> Iterator[Step]:
+        """Yields the steps that evaluate an arm, for each of its settings."""
+        policy = {EXPERT: "expert", RANDOM_SEARCH: "random"}.get(arm.method, {"model": POLICY})
+        switching = {"switching": "truth"} if arm.method == TRUE_SWITCHING else {}
+        for name, setting in self.settings[arm.options[SETTINGS_OPTION]].items():
+            for each, config in zip(setting.names(name), setting.evaluations, strict=True):
+                yield evaluate("demonstrations", each, policy=policy, **config, **switching)
+
+
+def is_fitted(arm: Arm) -> bool:
+    """Returns whether an arm has a policy that is fitted."""
+    return arm.method not in (EXPERT, RANDOM_SEARCH)
+
+
+def recognizer_step(data: str, **config: Any) -> Step:
+    """Returns the step that fits the goal recognizer of all rows."""
+    config = {"method": "goal_recognizer", **config}
+    return step(RECOGNIZER, "fit", service="imitation", dataset=data, model_name=RECOGNIZER, config=config)
