@@ -24,6 +24,8 @@ EXPERIMENTS = (
     "first_session",
     "demo",
     "doom",
+    "office",
+    "rope",
     "smoke",
 )
 """Names of the experiments; each is a module of this package with the attribute `EXPERIMENT`."""

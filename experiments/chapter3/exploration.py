@@ -104,9 +104,9 @@ class Exploration:
                 yield evaluate("demonstrations", each, policy=policy, **config, **switching)
 
 
-def is_fitted(arm: Arm) -> bool:
-    """Returns whether an arm has a policy that is fitted."""
-    return arm.method not in (EXPERT, RANDOM_SEARCH)
+def is_fitted(method: str) -> bool:
+    """Returns whether a row has a policy that is fitted."""
+    return method not in (EXPERT, RANDOM_SEARCH)
 
 
 def recognizer_step(data: str, **config: Any) -> Step:

@@ -114,7 +114,7 @@ class _Row:
         known = [acting for acting in ACTING if found[acting]]
         if known:
             return max(known, key=lambda acting: claims.mean([*found[acting].values()]))
-        return "" if is_fitted(self.arms[0]) and self.method not in CEILINGS else GREEDY
+        return "" if is_fitted(self.method) and self.method not in CEILINGS else GREEDY
 
     def episodes(self, measured: Measured, *, acting: str) -> dict[int, resampled.Episodes]:
         """Returns a figure of each seed that has it, float64 (1, demonstrations, starts)."""

@@ -45,20 +45,20 @@ class Followers(Experiment):
     def config(self, arm: Arm) -> Config:
         """Returns the steps of the pipeline that arms share, of the fit, and of the arm's own."""
         own = self.exploration
-        fit = [own.fit_step(arm)] if is_fitted(arm) else []
+        fit = [own.fit_step(arm)] if is_fitted(arm.method) else []
         return {"version": own.version, "shared": list(own.shared), "fit": fit, "steps": list(own.steps(arm))}
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Makes data and recognizer, or waits until another arm has made them."""
-        return not is_fitted(arm) or self._shared(work) is not None
+        return not is_fitted(arm.method) or self._shared(work) is not None
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
     ) -> Outcome | None:
         """Has a policy follow demonstrations by its likeliest actions, and by drawn ones; see `Experiment`."""
         found: dict[str, Trials] = {}
-        fitted = self._fitted(arm, work, on_progress) if is_fitted(arm) else None
-        if is_fitted(arm) and fitted is None:
+        fitted = self._fitted(arm, work, on_progress) if is_fitted(arm.method) else None
+        if is_fitted(arm.method) and fitted is None:
             return None
         for acting in ACTING if fitted and arm.method not in CEILINGS else ACTING[:1]:
             source = fitted

@@ -139,7 +139,9 @@ def test_a_state_after_picks_is_restored_bit_for_bit(world: RopeWorld) -> None:
 def test_episodes_begin_with_curves_in_reach_that_do_not_cross() -> None:
     for seed in range(100):
         rng = np.random.default_rng(seed)
-        for drawn in (initial_states.varied(rng), initial_states.straight(rng)):
+        from_left = initial_states.straight(rng, from_left=True)
+        assert from_left[-1, 0] - from_left[0, 0] > 0.9 * LINKS * LINK_M
+        for drawn in (initial_states.varied(rng), initial_states.straight(rng), from_left):
             assert np.abs(drawn).max() < REACH_M
             assert not len(crossings(np.column_stack([drawn, 0 * drawn[:, 0]])).over)
 

@@ -9,11 +9,10 @@ from typing import cast
 
 import numpy as np
 
-from freerein_sim.worlds.conditions import CAMERA_CONDITIONS, LIGHT_CONDITIONS
 from freerein_sim.worlds.opengl import check_mujoco_gl
 from freerein_sim.worlds.recipes import RandomOrder
 from freerein_sim.worlds.rope.predicates import MEASURES, PREDICATES
-from freerein_sim.worlds.rope.spec import SPEC
+from freerein_sim.worlds.rope.spec import CONDITIONS, SPEC
 from freerein_sim.worlds.world import ScriptedPolicy, TaskDefinition, UnsavedWorld, World
 
 VERSION = 1
@@ -41,7 +40,7 @@ TASKS = (
         SPEC,
         _make,
         PREDICATES,
-        (*LIGHT_CONDITIONS, *CAMERA_CONDITIONS),
+        CONDITIONS,
         RandomOrder(most=1),
         version=VERSION,
         explorer=_explore,

@@ -25,16 +25,18 @@ def varied(rng: np.random.Generator) -> Curve:
     return _draw(rng, np.array(_TURNS_RAD))
 
 
-def straight(rng: np.random.Generator) -> Curve:
-    """Returns a nearly straight curve in any direction, in the middle of the table."""
-    return _draw(rng, np.array([_STRAIGHT_TURN_RAD, _STRAIGHT_TURN_RAD / 2]))
+def straight(rng: np.random.Generator, *, from_left: bool = False) -> Curve:
+    """Returns a nearly straight curve in the middle of the table, from left to right or in any direction."""
+    turns = np.array([_STRAIGHT_TURN_RAD, _STRAIGHT_TURN_RAD / 2])
+    return _draw(rng, turns, widest_rad=0.0 if from_left else np.pi)
 
 
-def _draw(rng: np.random.Generator, turns_rad: npt.NDArray[np.float64]) -> Curve:
+def _draw(rng: np.random.Generator, turns_rad: npt.NDArray[np.float64], *, widest_rad: float = np.pi) -> Curve:
+    """Returns a curve that turns by waves, around a direction within `widest_rad` of left to right."""
     middle = (np.arange(LINKS) + 0.5) / LINKS
     waves = np.cos(np.pi * np.arange(1, len(turns_rad) + 1)[:, None] * middle)  # (W, 25)
     while True:
-        headings = rng.uniform(-np.pi, np.pi) + (turns_rad * rng.standard_normal(len(turns_rad))) @ waves
+        headings = rng.uniform(-widest_rad, widest_rad) + (turns_rad * rng.standard_normal(len(turns_rad))) @ waves
         steps = LINK_M * np.stack([np.cos(headings), np.sin(headings)], axis=1)
         curve = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
         room = _INSIDE_M - np.ptp(curve, axis=0) / 2

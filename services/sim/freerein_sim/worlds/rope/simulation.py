@@ -11,7 +11,7 @@ from freerein_sim.worlds.mujoco_world import MakeWorldExpert, MujocoWorld
 from freerein_sim.worlds.recipes import check_one
 from freerein_sim.worlds.rope import initial_states, scene
 from freerein_sim.worlds.rope.knots import Points
-from freerein_sim.worlds.rope.spec import LINK_M, LINKS, RADIUS_M, REACH_M, SPEC
+from freerein_sim.worlds.rope.spec import FROM_LEFT, LINK_M, LINKS, RADIUS_M, REACH_M, SPEC
 from freerein_sim.worlds.world import Action, GroundTruth, StepResult, check_actions, skill_indices
 
 CATCH_M = 0.025
@@ -37,7 +37,7 @@ class RopeWorld(MujocoWorld):
 
     Args:
         make_expert: Makes its experts.
-        conditions: Of light and cameras.
+        conditions: Of light, cameras and starts.
 
     Attributes:
         recipe: That of the episode; empty for one without.
@@ -47,6 +47,7 @@ class RopeWorld(MujocoWorld):
         built = scene.build(light=light_scale(conditions))
         super().__init__(SPEC, built, make_expert, camera_move(conditions, cameras=len(SPEC.cameras)))
         self.recipe: tuple[str, ...] = ()
+        self._starts_from_left = FROM_LEFT in conditions
         self._links = [built.model.body(scene.link_name(link)).id for link in range(LINKS)]
         self._ties = [built.model.equality(scene.link_name(link)).id for link in range(LINKS)]
 
@@ -58,7 +59,8 @@ class RopeWorld(MujocoWorld):
         """
         skill_indices(SPEC, recipe)
         check_one(recipe, begin="with the rope in any curve")
-        curve = initial_states.straight(rng) if recipe else initial_states.varied(rng)
+        from_left = self._starts_from_left
+        curve = initial_states.straight(rng, from_left=from_left) if recipe else initial_states.varied(rng)
         self.recipe = tuple(recipe)
         self._simulation.reset(rng)
         self._lay(curve)

@@ -1,6 +1,7 @@
 """The spec of the rope world: cameras, actions, skills, sizes. Lengths are in metres."""
 
 from freerein.types.common import ActionSpec, Camera
+from freerein_sim.worlds.conditions import CAMERA_CONDITIONS, LIGHT_CONDITIONS, Condition
 from freerein_sim.worlds.world import WorldSpec
 
 LINKS, LINK_M, RADIUS_M = 25, 0.024, 0.0075
@@ -14,6 +15,7 @@ LONGEST_M = 0.15
 """Greatest displacement along x, and along y. In the dissertation's data the longest is as long."""
 
 KNOT, S_SHAPE = "knot", "s-shape"
+FROM_LEFT = "start-from-left"
 
 SPEC = WorldSpec(
     cameras=(Camera("above", 64, 64, 3),),
@@ -24,4 +26,10 @@ SPEC = WorldSpec(
     skills=(KNOT, S_SHAPE),
     max_episode_steps=40,
     state_names=tuple(f"point-{point:02}.{axis}" for point in range(POINTS) for axis in "xyz"),
+)
+
+CONDITIONS = (
+    *LIGHT_CONDITIONS,
+    *CAMERA_CONDITIONS,
+    Condition(FROM_LEFT, "start", "an episode with a recipe begins with the rope nearly straight, from left to right"),
 )
