@@ -15,6 +15,7 @@ COMMANDS = {
     "segment": "Label every timestep of a video or a trajectory with a skill; with --save, of a whole dataset.",
     "reward": "Reward images against a goal text.",
     "act": "Ask a policy for the next actions towards goal images, a recipe of skills, or a goal text.",
+    "imitate": "Have a policy follow a demonstration, a folder of images, in a simulated task.",
     "sim": "List simulated tasks and record demonstrations.",
     "fit": "Start a fit of a model.",
     "run": "Start a run, which survives crashes: collect, fit, label, ppo, distill, evaluate, pipeline, skills, zsrm.",

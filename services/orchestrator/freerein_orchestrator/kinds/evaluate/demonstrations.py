@@ -62,6 +62,7 @@ class DemonstrationsConfig(PolicyConfig):
         length_factor: A trial lasts so many times as long as its demonstration.
         switching: By the `policy`'s own flag, or by the `truth`, a ceiling: the next landmark is its goal once it truly
             is at the present one, or has used up its steps.
+        measures: Whether the task's measures are taken; each may take longer than the trial.
     """
 
     form: Literal["demonstrations"] = "demonstrations"
@@ -72,6 +73,7 @@ class DemonstrationsConfig(PolicyConfig):
     steps_per_landmark: int = bounded(0, least=0, most=10_000)
     length_factor: float = bounded(5.0, least=1.0, most=100.0)
     switching: Literal["policy", "truth"] = "policy"
+    measures: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -103,7 +105,7 @@ class DemonstrationsEvaluation:
         self._demonstrations = [self._demonstrate(path) for path in config.paths or task.skills]
         offered = [each.name for each in task.predicates]
         self._judges = [name for name in offered if name == AT_LANDMARK or name.startswith(f"{AT_LANDMARK}/")]
-        self._measures = [each.name for each in task.measures if each.needs_reference]
+        self._measures = [each.name for each in task.measures if each.needs_reference and config.measures]
         self._has_contact = CONTACT in offered
         self._completed = {f"{COMPLETED}/{each.path}" for each in self._demonstrations} <= set(offered)
         self.subject: dict[str, Any] = {**self._policy.description, "switching": config.switching}

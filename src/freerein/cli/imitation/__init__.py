@@ -1,0 +1,1 @@
+"""Demonstrations given as images, followed by a policy in a simulated task."""
