@@ -105,7 +105,7 @@ def import_dataset(
     Layout `folder`: `<trajectory>/0.png, 1.png, ...`, or `<trajectory>/<camera>/0.png, ...`, or `<trajectory>.mp4`.
     Beside them `<trajectory>/actions.csv`, where there are actions, and one `tags.csv`.
     """
-    kind = layout if layout != "auto" else "lerobot" if (path / "meta").is_dir() else "folder"
+    kind = layout if layout != "auto" else _layout_of(path)
     options = LeRobotOptions(_names(action), _names(state), _names(cameras), skip_damaged)
     texts: dict[str, TextKind | None] = {"tags_from": tags_from, "labels_from": labels_from}
     source = _source(kind, path, size=_size(size), fps=fps, tags=tags, options=options, texts=texts)
@@ -115,6 +115,15 @@ def import_dataset(
     with imported_with_progress(source, name, replaces=replace, is_shown=not as_json) as warnings:
         pass  # what is shown undoes nothing
     _show_import(name, source, warnings, said=said, as_json=as_json)
+
+
+def recordings(path: Path) -> Source:
+    """Returns the trajectories of a folder, as `freerein dataset import` reads it without options."""
+    return LeRobotSource(path) if _layout_of(path) == "lerobot" else FolderSource(path)
+
+
+def _layout_of(path: Path) -> Literal["folder", "lerobot"]:
+    return "lerobot" if (path / "meta").is_dir() else "folder"
 
 
 def _source(

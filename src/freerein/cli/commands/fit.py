@@ -11,14 +11,20 @@ import typer
 from freerein.cli.audit import Audit, read_answers
 from freerein.cli.audit import audit as run_audit
 from freerein.cli.audit import show as show_audit
-from freerein.cli.commands.dataset import Replace, check_no_path, dataset_root, imported_with_progress
+from freerein.cli.commands.dataset import (
+    Replace,
+    check_no_path,
+    dataset_root,
+    imported_with_progress,
+    recordings,
+)
 from freerein.cli.commands.jobs import Watch, show_or_watch
 from freerein.cli.connection import call
 from freerein.cli.jobs.config_keys import KeysHelp
 from freerein.cli.jobs.options import Settings, configuration
 from freerein.cli.output import AsJson, command
 from freerein.clients import FitClient
-from freerein.data import ImageSource
+from freerein.data import ImageSource, Source
 from freerein.data.lookup import unseen_cameras
 from freerein.data.meta import read_spec
 from freerein.errors import ServiceError, must_be
@@ -33,6 +39,14 @@ app = typer.Typer(
 )
 
 _ModelName = Annotated[str, typer.Option(help="Name of the model; `default` when empty.")]
+_Recordings = Annotated[
+    Path | None,
+    typer.Option(
+        "--recordings",
+        metavar="DIR",
+        help="Import a folder of trajectories, or a LeRobotDataset v3, first, as the dataset.",
+    ),
+]
 _Phrases = Annotated[
     list[str] | None,
     typer.Option(help="Noun phrases of the goal texts, such as `a red block`; repeatable, or with commas."),
@@ -51,14 +65,20 @@ def _add_start(service: str, explanation: str) -> None:
     @app.command(service, help=explanation, cls=KeysHelp)
     @command
     def start(
-        dataset: Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")],
+        dataset: Annotated[str, typer.Argument(help="Name of a dataset; with --recordings of the new one.")] = "",
+        *,
+        folder: _Recordings = None,
+        replace: Replace = False,
         model_name: _ModelName = "",
         settings: Settings = None,
         watch: Watch = False,
         as_json: AsJson = False,
     ) -> None:
-        request = StartFitRequest(check_no_path(dataset), model_name, configuration(settings))
-        fit = call(FitClient, service, lambda client: client.start_fit(request)).fit
+        name = _dataset_name(dataset, folder, f"Write freerein fit {service} DATASET, or --recordings DIR.")
+        request = StartFitRequest(name, model_name, configuration(settings))
+        source = recordings(folder) if folder else None
+        with _imported(source, name, replaces=replace, as_json=as_json) if source else nullcontext():
+            fit = call(FitClient, service, lambda client: client.start_fit(request)).fit
         _show(service, fit, watch=watch, as_json=as_json)
 
 
@@ -86,15 +106,14 @@ def reward(
     as_json: AsJson = False,
 ) -> None:
     """Fit a vision-language reward model to unlabelled images and the noun phrases of the goal texts."""
-    name = dataset or (_dataset_name(images) if images else "")
-    if not name:
-        hint = "Write freerein fit reward --images DIR --phrases 'a red ball' --phrases 'a blue ball'."
-        raise must_be("A dataset or --images", "given", "neither", field="dataset", hint=hint)
+    hint = "Write freerein fit reward --images DIR --phrases 'a red ball' --phrases 'a blue ball'."
+    name = _dataset_name(dataset, images, hint)
     answers = read_answers(audit) if audit else []  # refused before anything is done
     named = [phrase.strip() for given in phrases or () for phrase in given.split(",")]
     config = configuration(settings) | ({"phrases": named} if named else {})
-    request = StartFitRequest(check_no_path(name), model_name, config)
-    with _imported(images, name, replaces=replace, as_json=as_json) if images else nullcontext():
+    request = StartFitRequest(name, model_name, config)
+    source = ImageSource(images) if images else None
+    with _imported(source, name, replaces=replace, as_json=as_json) if source else nullcontext():
         fit = call(FitClient, "reward", lambda client: client.start_fit(request)).fit
     _show("reward", fit, watch=watch or bool(answers), as_json=as_json)
     if answers:
@@ -103,9 +122,8 @@ def reward(
 
 
 @contextmanager
-def _imported(images: Path, name: str, *, replaces: bool, as_json: bool) -> Iterator[None]:
-    """Imports a folder of images as a dataset; undoes that where the fit is refused, unless it is queued."""
-    source = ImageSource(images)
+def _imported(source: Source, name: str, *, replaces: bool, as_json: bool) -> Iterator[None]:
+    """Imports trajectories as a dataset; undoes that where the fit is refused, unless it is queued."""
     with imported_with_progress(source, name, replaces=replaces, is_shown=not as_json):
         typer.echo("".join(f"{note}\n" for note in source.notes if not as_json), nl=False)
         yield
@@ -120,6 +138,14 @@ def _show(service: str, fit: Fit, *, watch: bool, as_json: bool) -> None:
     show_or_watch(service, fit, watch=watch, as_json=as_json)
 
 
-def _dataset_name(folder: Path) -> str:
-    """Returns a valid name of a dataset, like that of a folder."""
+def _dataset_name(given: str, folder: Path | None, hint: str) -> str:
+    """Returns the name of a dataset: the given one, or one like that of the folder that it is imported from.
+
+    Raises:
+        InvalidInput: There is neither, or the name is a path.
+    """
+    if given or not folder:
+        if not given:
+            raise must_be("A dataset or a folder to import", "given", "neither", field="dataset", hint=hint)
+        return check_no_path(given)
     return re.sub(r"[^a-z0-9._-]+", "-", folder.resolve().name.lower()).strip("._-")[:64] or "images"
