@@ -1,9 +1,7 @@
-"""`freerein dataset`: imports, inspects, checks, annotates and exports datasets; finds those that others name."""
+"""`freerein dataset`: imports, inspects, checks, annotates and exports datasets."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,7 +10,8 @@ import typer
 from freerein import data
 from freerein.atomic_files import write_atomic
 from freerein.cli.dataset_words import summary_rows, takes
-from freerein.cli.output import AsJson, command, delete_each, print_json, progress_bar
+from freerein.cli.datasets import Replace, dataset_root, imported_with_progress, layout_of, replaceable_root
+from freerein.cli.output import AsJson, command, delete_each, print_json
 from freerein.cli.segments.webvtt import webvtt
 from freerein.cli.settings import CliSettings
 from freerein.cli.tables import show_table
@@ -28,15 +27,12 @@ from freerein.data import (
     Source,
     TextKind,
     TimeUnit,
-    dataset_path,
 )
 from freerein.data.label_segments import read_label_segments, to_csv
 from freerein.data.lerobot_export import export_labels
 from freerein.data.lerobot_folder import export_lerobot
-from freerein.errors import InvalidInput, NotFound, must_be, quoted
+from freerein.errors import InvalidInput, must_be, quoted
 from freerein.jobs import wall_clock
-from freerein.jobs.in_use import check_unused, names_dataset
-from freerein.types.common import Trajectory
 
 app = typer.Typer(
     help="Import, inspect, check, annotate and export datasets.", no_args_is_help=True, add_completion=False
@@ -44,8 +40,6 @@ app = typer.Typer(
 
 _LARGEST_SIDE = 1024
 _REPEATABLE = "repeatable; of layout lerobot."
-
-Replace = Annotated[bool, typer.Option("--replace", help="Replace a dataset of this name, once the new one is whole.")]
 
 _Texts = TextKind | None
 _Features = list[str] | None
@@ -105,7 +99,7 @@ def import_dataset(
     Layout `folder`: `<trajectory>/0.png, 1.png, ...`, or `<trajectory>/<camera>/0.png, ...`, or `<trajectory>.mp4`.
     Beside them `<trajectory>/actions.csv`, where there are actions, and one `tags.csv`.
     """
-    kind = layout if layout != "auto" else _layout_of(path)
+    kind = layout if layout != "auto" else layout_of(path)
     options = LeRobotOptions(_names(action), _names(state), _names(cameras), skip_damaged)
     texts: dict[str, TextKind | None] = {"tags_from": tags_from, "labels_from": labels_from}
     source = _source(kind, path, size=_size(size), fps=fps, tags=tags, options=options, texts=texts)
@@ -115,15 +109,6 @@ def import_dataset(
     with imported_with_progress(source, name, replaces=replace, is_shown=not as_json) as warnings:
         pass  # what is shown undoes nothing
     _show_import(name, source, warnings, said=said, as_json=as_json)
-
-
-def recordings(path: Path) -> Source:
-    """Returns the trajectories of a folder, as `freerein dataset import` reads it without options."""
-    return LeRobotSource(path) if _layout_of(path) == "lerobot" else FolderSource(path)
-
-
-def _layout_of(path: Path) -> Literal["folder", "lerobot"]:
-    return "lerobot" if (path / "meta").is_dir() else "folder"
 
 
 def _source(
@@ -148,18 +133,6 @@ def _source(
             hint="Leave them out, or name the folder that holds `meta`.",
         )
     return FolderSource(path, size=size, fps=fps, tags=table) if kind == "folder" else MimeSource(path, size=size)
-
-
-@contextmanager
-def imported_with_progress(source: Source, name: str, *, replaces: bool, is_shown: bool) -> Iterator[tuple[str, ...]]:
-    """Imports trajectories into the data directory, with a bar; yields and raises as `data.imported`."""
-    root = replaceable_root(name) if replaces else dataset_root(name)
-    check = partial(replaceable_root, name)
-    with ExitStack() as stack:
-        with progress_bar(f"importing {name}", total=len(source), is_shown=is_shown) as on_count:
-            imported = data.imported(source, root, replaces=replaces, check_unused=check, on_count=on_count)
-            warnings = stack.enter_context(imported)
-        yield warnings
 
 
 def _names(given: list[str] | None) -> tuple[str, ...]:
@@ -380,30 +353,3 @@ def _report(
         typer.echo(f"The dataset {name} {verdict}{', with warnings' if problems else ''}.")
     if errors:
         raise typer.Exit(1)
-
-
-def dataset_root(name: str) -> Path:
-    """Returns the folder of a dataset in the data directory, whether or not it exists."""
-    return dataset_path(CliSettings().data_dir, check_no_path(name))
-
-
-def replaceable_root(name: str) -> Path:
-    """Returns the folder of a dataset; raises FailedPrecondition where a fit or run that has not ended names it."""
-    check_unused(CliSettings().data_dir, f"The dataset {name}", names_dataset(name))
-    return dataset_root(name)
-
-
-def check_no_path(name: str) -> str:
-    """Returns what may be the name of a dataset; raises InvalidInput for a path."""
-    if "/" in name:
-        hint = "`freerein dataset list` names all; `freerein dataset import FOLDER NAME` brings a folder."
-        raise must_be("A dataset of the data directory", "named", "a path", field="dataset", hint=hint)
-    return name
-
-
-def read_trajectory(dataset: Dataset, index: int) -> Trajectory:
-    """Returns a trajectory of a dataset; raises NotFound where the index is out of range."""
-    if index >= len(dataset):
-        sentence = f"The index must be below {len(dataset)}, the number of trajectories; got {index}."
-        raise NotFound(sentence, field="index", hint="`freerein dataset inspect` shows the dataset.")
-    return dataset[index]

@@ -11,15 +11,15 @@ import typer
 from freerein.cli.audit import Audit, read_answers
 from freerein.cli.audit import audit as run_audit
 from freerein.cli.audit import show as show_audit
-from freerein.cli.commands.dataset import (
+from freerein.cli.commands.jobs import Watch, show_or_watch
+from freerein.cli.connection import call
+from freerein.cli.datasets import (
     Replace,
     check_no_path,
     dataset_root,
     imported_with_progress,
     recordings,
 )
-from freerein.cli.commands.jobs import Watch, show_or_watch
-from freerein.cli.connection import call
 from freerein.cli.jobs.config_keys import KeysHelp
 from freerein.cli.jobs.options import Settings, configuration
 from freerein.cli.output import AsJson, command

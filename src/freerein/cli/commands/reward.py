@@ -13,9 +13,9 @@ from freerein import images, wire
 from freerein.cli.audit import Audit, read_answers
 from freerein.cli.audit import audit as run_audit
 from freerein.cli.audit import show as show_audit
-from freerein.cli.commands.dataset import dataset_root, read_trajectory
 from freerein.cli.commands.image_files import FILES, read_images
 from freerein.cli.connection import call
+from freerein.cli.datasets import dataset_root, read_trajectory
 from freerein.cli.output import AsJson, command, print_json
 from freerein.cli.tables import show_table
 from freerein.clients import RewardClient

@@ -13,8 +13,8 @@ from rich.console import Console
 
 from freerein import wire
 from freerein.atomic_files import write_atomic
-from freerein.cli.commands.dataset import dataset_root, read_trajectory
 from freerein.cli.connection import SEGMENT_TIMEOUT_S, call
+from freerein.cli.datasets import dataset_root, read_trajectory
 from freerein.cli.figure_style import FILM_FRAMES
 from freerein.cli.output import AsJson, command, print_json, progress_bar
 from freerein.cli.segments import picture, timeline

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import typer
 
 from freerein import wire
-from freerein.cli.commands.dataset import Replace, dataset_root, replaceable_root
 from freerein.cli.connection import call
+from freerein.cli.datasets import Replace, dataset_root, replaceable_root
 from freerein.cli.jobs.streams import reconnecting
 from freerein.cli.output import AsJson, command, print_json, progress_bar
 from freerein.cli.tables import show_table
