@@ -90,6 +90,7 @@ EXPLORATION = Exploration(
         TEST: {"v2": _setting("doom.v2"), "b": _setting("doom.b")},
     },
     chooses=("v1", "completion"),
+    places=2,
     figures=("completion", "efficiency"),
 )
 

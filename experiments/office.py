@@ -65,6 +65,7 @@ EXPLORATION = Exploration(
         },
     },
     chooses=("goals_3", "stopped.goal"),
+    places=2,
     figures=("stopped.goal", "success", "contact", "completion"),
 )
 

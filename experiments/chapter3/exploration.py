@@ -9,6 +9,9 @@ from experiments.workbench.arms import Arm
 from experiments.workbench.pipelines import Step, step
 
 EXPERT, RANDOM_SEARCH, TRUE_SWITCHING = "expert", "random_search", "true_switching"
+EXPLORING = "exploring"
+"""What made the data, which follows nothing: how far it gets."""
+
 CEILINGS = (EXPERT, TRUE_SWITCHING)
 
 CHOICE, TEST = "choice", "test"
@@ -52,6 +55,7 @@ class Exploration:
         settings: By kind and name.
         chooses: Setting and figure that choose between greedy and sampled actions.
         figures: Of each trial; numbers, or lists by landmark, of which the mean counts.
+        places: Numbers of a true state, the first ones, that say where the robot is; 0 where it stays where it is.
     """
 
     world: str
@@ -64,6 +68,7 @@ class Exploration:
     settings: Mapping[str, Mapping[str, Setting]]
     chooses: tuple[str, str]
     figures: Sequence[str]
+    places: int = 0
 
     @property
     def arms(self) -> tuple[Arm, ...]:
@@ -76,11 +81,17 @@ class Exploration:
             if seed < seeds
         ]
         without = [(EXPERT, "", 0), (RANDOM_SEARCH, "", 0), (TRUE_SWITCHING, self.claimed[1], 0)]
-        return tuple(
+        followers = (
             Arm(self.world, row, {**({DATA_OPTION: data} if data else {}), SETTINGS_OPTION: settings}, seed)
             for settings in self.settings
             for row, data, seed in [*without, *fits]
         )
+        return (*(Arm(self.world, EXPLORING, {DATA_OPTION: data}) for data in self.seeds if self.places), *followers)
+
+    def collected(self, data: str) -> Mapping[str, Any]:
+        """Returns the configuration of the run that collects the data of an exploration."""
+        config: Mapping[str, Any] = next(each["config"] for each in self.shared if each["name"] == data)
+        return config
 
     @property
     def all_settings(self) -> dict[str, Setting]:
@@ -99,14 +110,14 @@ class Exploration:
         """Yields the steps that evaluate an arm, for each of its settings."""
         policy = {EXPERT: "expert", RANDOM_SEARCH: "random"}.get(arm.method, {"model": POLICY})
         switching = {"switching": "truth"} if arm.method == TRUE_SWITCHING else {}
-        for name, setting in self.settings[arm.options[SETTINGS_OPTION]].items():
+        for name, setting in self.settings.get(arm.options.get(SETTINGS_OPTION, ""), {}).items():
             for each, config in zip(setting.names(name), setting.evaluations, strict=True):
                 yield evaluate("demonstrations", each, policy=policy, **config, **switching)
 
 
 def is_fitted(method: str) -> bool:
     """Returns whether a row has a policy that is fitted."""
-    return method not in (EXPERT, RANDOM_SEARCH)
+    return method not in (EXPERT, RANDOM_SEARCH, EXPLORING)
 
 
 def recognizer_step(data: str, **config: Any) -> Step:

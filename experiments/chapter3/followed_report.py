@@ -7,8 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from experiments.chapter3 import resampled
-from experiments.chapter3.exploration import CEILINGS, DATA_OPTION, Exploration, is_fitted
+from experiments.chapter3 import reach, resampled
+from experiments.chapter3.exploration import CEILINGS, DATA_OPTION, EXPLORING, Exploration, is_fitted
 from experiments.chapter3.followed import ACTING, GREEDY
 from experiments.robustness.evaluated import FLAG_AUROC, FLAG_ECE
 from experiments.workbench import claims
@@ -135,8 +135,9 @@ def table(exploration: Exploration, results: Sequence[ArmResult], *, report: Rep
     return Table(
         title=report.title,
         text=words(exploration.world),
-        sections=tuple(
-            Section(_header(exploration), tuple(_cells(rows, figure)), figure) for figure in exploration.figures
+        sections=(
+            *(Section(_header(exploration), tuple(_cells(rows, figure)), figure) for figure in exploration.figures),
+            *_reached(results),
         ),
         claims=made,
         picture=Picture("Demonstrations followed, by row and setting", draw),
@@ -149,7 +150,7 @@ def _rows(exploration: Exploration, results: Sequence[ArmResult]) -> list[_Row]:
     for each in sorted(results, key=lambda result: result.seed):
         found.setdefault((each.method, each.options.get(DATA_OPTION, "")), []).append(each)
     rows = [_Row(exploration, method, data, arms) for (method, data), arms in found.items()]
-    return [row for row in rows if row.acting]
+    return [row for row in rows if row.method != EXPLORING and row.acting]
 
 
 def _header(exploration: Exploration) -> tuple[str, ...]:
@@ -174,6 +175,15 @@ def _cell(sample: Sample | None) -> str:
     if set(sample.totals) <= {0, 1}:
         return f"{values.mean():.1%}"
     return f"{np.median(values):.3g} [{low:.3g}, {high:.3g}], mean {values.mean():.3g}"
+
+
+def _reached(results: Sequence[ArmResult]) -> Iterator[Section]:
+    """Yields how far explorations get, where that is known."""
+    explored = [each for each in results if each.method == EXPLORING]
+    header = ("data", *(f"{actions} actions, {quantile}" for actions in reach.ACTIONS for quantile in reach.QUANTILES))
+    if explored:
+        cells = [(each.options[DATA_OPTION], *(f"{value:.3g}" for value in each.figures.values())) for each in explored]
+        yield Section(header, tuple(cells), "How far exploration gets")
 
 
 def _claims(rows: Sequence[_Row], report: Report) -> Iterator[Claim]:

@@ -11,8 +11,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from experiments.chapter3 import followed_report
-from experiments.chapter3.exploration import CEILINGS, POLICY, SETTINGS_OPTION, Exploration, is_fitted
+from experiments.chapter3 import followed_report, reach
+from experiments.chapter3.exploration import (
+    CEILINGS,
+    DATA_OPTION,
+    EXPERT,
+    EXPLORING,
+    POLICY,
+    RANDOM_SEARCH,
+    SETTINGS_OPTION,
+    Exploration,
+    is_fitted,
+)
 from experiments.chapter3.followed import ACTING, GREEDY, samples
 from experiments.chapter3.followed_report import Report
 from experiments.workbench.arms import Arm, Experiment, world_version
@@ -50,12 +60,14 @@ class Followers(Experiment):
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Makes data and recognizer, or waits until another arm has made them."""
-        return not is_fitted(arm.method) or self._shared(work) is not None
+        return arm.method in (EXPERT, RANDOM_SEARCH) or self._shared(work) is not None
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
     ) -> Outcome | None:
         """Has a policy follow demonstrations by its likeliest actions, and by drawn ones; see `Experiment`."""
+        if arm.method == EXPLORING:
+            return self._explored(arm, work, folder)
         found: dict[str, Trials] = {}
         fitted = self._fitted(arm, work, on_progress) if is_fitted(arm.method) else None
         if is_fitted(arm.method) and fitted is None:
@@ -75,6 +87,14 @@ class Followers(Experiment):
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns a row for each fit that has results, and the claims."""
         return followed_report.table(self.exploration, results, report=self._report)
+
+    def _explored(self, arm: Arm, work: Path, folder: Path) -> Outcome | None:
+        """Measures how far the data of an arm reach."""
+        made, own = self._shared(work), self.exploration
+        if made is None:
+            return None
+        collected = own.collected(arm.options[DATA_OPTION])
+        return Outcome(reach.measure(collected, places=own.places, made=made, folder=folder), {})
 
     def _fitted(self, arm: Arm, work: Path, on_progress: Callable[[], None]) -> Path | None:
         """Fits the policy of an arm, once for all arms that act by it, to data that are made once for all."""

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 from experiments import doom, office, rope
-from experiments.chapter3 import resampled
+from experiments.chapter3 import reach, resampled
 from experiments.chapter3.exploration import (
     CHOICE,
     DATA_OPTION,
     EXPERT,
+    EXPLORING,
     RANDOM_SEARCH,
     Exploration,
     Setting,
@@ -77,12 +78,13 @@ def _publish_recognizer(root: Path, name: str, spec: WorldSpec) -> None:
 @each_world
 def test_the_orchestrator_takes_all_pipelines_and_evaluations_have_seeds_of_their_own(exploration: Exploration) -> None:
     KINDS["pipeline"].parse({"steps": list(exploration.shared)})
-    for arm in exploration.arms:
+    for arm in (arm for arm in exploration.arms if arm.method != EXPLORING):
         steps = [*([exploration.fit_step(arm)] if is_fitted(arm.method) else []), *exploration.steps(arm)]
         KINDS["pipeline"].parse({"steps": steps})
         assert arm.seed not in {each["config"]["seed"] for each in steps if each["kind"] == "evaluate"}
     unfitted = {arm.method for arm in exploration.arms if not is_fitted(arm.method)}
-    assert unfitted == {EXPERT, RANDOM_SEARCH}
+    assert unfitted - {EXPLORING} == {EXPERT, RANDOM_SEARCH}
+    assert all(exploration.collected(data)["dataset"] == data for data in exploration.seeds)
 
 
 @each_world
@@ -139,6 +141,14 @@ def test_every_row_is_a_fit(data_dir: Path, world: str, row: str) -> None:
         state, losses = learner.update(state, np.arange(2))
         assert all(map(np.isfinite, losses.values()))
     assert (learner.stored is None) == (row == "gsp_stop")
+
+
+def test_exploration_gets_as_far_as_its_parts_in_their_shares() -> None:
+    still, fast = np.zeros((30, 2)), np.arange(30.0)[:, None] * [3.0, 4.0]
+    found = reach.distances([[still, still[:4]], [fast]], shares=[3, 1])
+    assert found["moved.10.median"] == 0
+    assert found["moved.10.p90"] == 50
+    assert found["moved.20.p90"] == 100
 
 
 def test_trials_of_several_evaluations_are_taken_in_turn() -> None:

@@ -1,0 +1,100 @@
+"""How far a robot gets by its exploration: distances between its places a few actions apart."""
+
+import asyncio
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.workbench.pipelines import run_folder
+from freerein.cli.connection import channel_to
+from freerein.cli.settings import CliSettings
+from freerein.clients import SimClient, SyncClient
+from freerein.clients.tasks import find_task
+from freerein.learning.actor_critic.policy_files import load_policy
+from freerein.stack import Stack, choose, free_ports, isolated_environ
+from freerein.types.sim import CreateSessionRequest
+from freerein_orchestrator.envs.episodes import Episode, run_episodes
+from freerein_orchestrator.envs.policies import PolicyHandle, explorer_policy, stored_policy
+
+ACTIONS = (5, 10, 15, 20)
+"""Between two places."""
+
+QUANTILES = {"median": 50, "p90": 90}
+_EPISODES, _SEED = 64, 2_000_003
+_READY_TIMEOUT_S = 300.0
+
+
+def measure(collected: Mapping[str, Any], *, places: int, made: Path, folder: Path) -> dict[str, float]:
+    """Returns quantiles of the distances, over all parts of a dataset in their shares, by name.
+
+    Args:
+        collected: Configuration of the run that collects the data.
+        places: Numbers of a true state that say where the robot is; they come first.
+        made: Folder of the pipeline that has trained the policies.
+        folder: For the services' data.
+    """
+    parts = collected.get("parts") or [{"policy": "random"}]
+
+    async def explore() -> list[Sequence[Episode]]:
+        environ, ports = isolated_environ(os.environ), free_ports(("sim",))
+        async with Stack(choose(("sim",)), data_dir=folder / "data", environ=environ, ports=ports) as stack:
+            await stack.ready(timeout_s=_READY_TIMEOUT_S)
+            sim = SyncClient(SimClient(channel_to(stack.addresses["sim"], CliSettings())))
+            return [await asyncio.to_thread(_explored, sim, collected["task"], part, made) for part in parts]
+
+    shares = [part.get("share", 1.0) for part in parts]
+    return distances([[each.states[:, :places] for each in part] for part in asyncio.run(explore())], shares)
+
+
+def distances(parts: Sequence[Sequence[npt.NDArray[np.float64]]], shares: Sequence[float]) -> dict[str, float]:
+    """Returns quantiles of distances by number of actions.
+
+    Args:
+        parts: Of each part of the data, the places of some episodes, float64 (T + 1, P) each.
+        shares: Of each part, of all timesteps.
+    """
+    found = {}
+    for actions in ACTIONS:
+        moved = [np.concatenate([_moved(each, actions) for each in part]) for part in parts]
+        values = np.concatenate(moved)
+        weights = np.concatenate(
+            [np.full(len(each), share / len(each)) for each, share in zip(moved, shares, strict=True)]
+        )
+        order = np.argsort(values)
+        below = np.cumsum(weights[order]) / weights.sum()
+        for name, percent in QUANTILES.items():
+            found[f"moved.{actions}.{name}"] = float(values[order][np.searchsorted(below, percent / 100)])
+    return found
+
+
+def _moved(places: npt.NDArray[np.float64], actions: int) -> npt.NDArray[np.float64]:
+    """Returns the distances between places so many actions apart; none in a shorter episode."""
+    apart: npt.NDArray[np.float64] = np.linalg.norm(places[actions:] - places[: max(0, len(places) - actions)], axis=1)
+    return apart
+
+
+def _explored(sim: SyncClient, task: str, part: Mapping[str, Any], made: Path) -> Sequence[Episode]:
+    name = part.get("task") or task
+    policy = _policy(sim, name, part, made)
+    session = CreateSessionRequest(
+        name,
+        num_envs=_EPISODES,
+        seed=_SEED,
+        height=policy.height,
+        width=policy.width,
+        privileged=True,
+        conditions=tuple(part.get("conditions", ())),
+    )
+    return run_episodes(sim, session, policy, lambda: None)
+
+
+def _policy(sim: SyncClient, task: str, part: Mapping[str, Any], made: Path) -> PolicyHandle:
+    if part["policy"] == "random":
+        return explorer_policy(sim)
+    folder = run_folder(made) / "parts" / part["policy"] / "artifacts"
+    stored = load_policy(folder, device="cpu")
+    return stored_policy(stored, find_task(sim, task), stochastic=part.get("stochastic", False))
