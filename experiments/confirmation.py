@@ -1,6 +1,6 @@
 """The recipe that `blocks` chose, on new test trajectories of the other worlds, beside every baseline."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from experiments.segmentation.dataset import DatasetSpec, SplitSpec
@@ -18,6 +18,7 @@ from experiments.segmentation.methods import (
     ours_augmented,
     recipe,
     recipe_augmented,
+    repeated,
     supervised,
 )
 from experiments.segmentation.report import Report
@@ -105,22 +106,18 @@ def _study(world: _World, methods: tuple[Method, ...]) -> Study:
     )
 
 
-def _once(*methods: Method) -> tuple[Method, ...]:
-    return tuple(replace(method, seeds=1) for method in methods)
-
-
 def _methods(world: _World) -> tuple[Method, ...]:
     others = ("mil", "fcn_mil", "ccnn")
     if not world.claims_gap:
-        compared = (*objectives("lse", contexts=(CAUSAL,)), *_once(*objectives(*others, contexts=(CAUSAL,))))
+        compared = (*objectives("lse", contexts=(CAUSAL,)), *repeated(1, *objectives(*others, contexts=(CAUSAL,))))
     else:
-        whole = _once(*objectives("lse", *others, "lse_per_timestep", contexts=(WHOLE,)))
+        whole = repeated(1, *objectives("lse", *others, "lse_per_timestep", contexts=(WHOLE,)))
         compared = (*objectives("lse", *others, contexts=(CAUSAL,)), *whole)
     return (
         *recipe(seeds=_SEEDS_OF_RECIPE),
         *compared,
-        *_once(supervised(WHOLE)),
-        *(_once(*at_every_timestep("lse", "mil", "fcn_mil")) if world.task == "dial" else ()),
+        *repeated(1, supervised(WHOLE)),
+        *(repeated(1, *at_every_timestep("lse", "mil", "fcn_mil")) if world.task == "dial" else ()),
         *([recipe_augmented(WHOLE)] if world.task == "dial" else ()),
         *([ours_augmented(_SHIPPED[world.task])] if world.task in _SHIPPED else ()),
     )
@@ -131,7 +128,7 @@ def _methods_of_uneven() -> tuple[Method, ...]:
         *recipe(seeds=_SEEDS)[:1],
         *objectives("lse", contexts=(CAUSAL,)),
         *objectives("lse_per_timestep", contexts=(WHOLE,)),
-        *_once(*objectives("lse", contexts=(WHOLE,)), supervised(WHOLE)),
+        *repeated(1, *objectives("lse", contexts=(WHOLE,)), supervised(WHOLE)),
     )
 
 

@@ -15,6 +15,7 @@ from experiments.segmentation.methods import (
     ours,
     ours_after,
     ours_from_lse,
+    repeated,
     supervised,
 )
 from experiments.segmentation.report import Report
@@ -24,16 +25,42 @@ from experiments.segmentation.targets import Target
 from experiments.workbench.table import words
 
 DIAL, BINS = "dial", "bins"
-_OURS_AFTER = (ours_after(CAUSAL), ours_after(LOOKAHEAD), ours_after("lookahead-10"))
 _OURS = (
     Row(OURS, WHOLE),
     Row(OURS_FROM_LSE, WHOLE),
     Row(OURS, LOOKAHEAD),
-    *(Row(method.name, WHOLE) for method in _OURS_AFTER),
+    *(Row(ours_after(context).name, WHOLE) for context in (CAUSAL, LOOKAHEAD, "lookahead-10")),
 )
 _TRAIN = {DIAL: 2_000, BINS: 1_000}
 _STEPS, _TRIAL_STEPS = 4_000, 1_000
 _BATCH_SIZE, _STRIDE, _TRAIN_EVALUATED = 16, 3, 500
+
+
+_BASELINES = (
+    *objectives("lse_per_timestep", contexts=(WHOLE,)),
+    *objectives("mil", "fcn_mil", "ccnn", "ccnn_without_share", contexts=(CAUSAL,)),
+)
+_METHODS = {
+    DIAL: (
+        *objectives("lse", contexts=(CAUSAL, WHOLE)),
+        *repeated(1, lse_as_published()),
+        ours(WHOLE),
+        *repeated(1, ours_from_lse(), ours_after(LOOKAHEAD)),
+        supervised(WHOLE),
+        *repeated(1, *_BASELINES),
+    ),
+    BINS: (
+        *objectives("lse", contexts=(CAUSAL, LOOKAHEAD)),
+        *repeated(2, *objectives("lse", contexts=(WHOLE,))),
+        *repeated(1, lse_as_published(), ours(WHOLE)),
+        ours(LOOKAHEAD),
+        *repeated(1, ours_from_lse(), ours_after(CAUSAL)),
+        ours_after(LOOKAHEAD),
+        ours_after("lookahead-10"),
+        supervised(WHOLE, LOOKAHEAD),
+        *repeated(1, *_BASELINES),
+    ),
+}
 
 
 def _study(task: str, *, least: int, most: int, test: int) -> Study:
@@ -44,16 +71,7 @@ def _study(task: str, *, least: int, most: int, test: int) -> Study:
             validation=SplitSpec(200, least, most),
             test=SplitSpec(200, test, test),
         ),
-        methods=(
-            *objectives("lse", contexts=(CAUSAL, WHOLE, LOOKAHEAD)),
-            lse_as_published(),
-            ours(WHOLE, LOOKAHEAD),
-            ours_from_lse(),
-            *_OURS_AFTER,
-            supervised(WHOLE, LOOKAHEAD),
-            *objectives("lse_per_timestep", contexts=(WHOLE,)),
-            *objectives("mil", "fcn_mil", "ccnn", "ccnn_without_share", contexts=(CAUSAL,)),
-        ),
+        methods=_METHODS[task],
         seeds=3,
         settings={
             "steps": _STEPS,

@@ -23,6 +23,11 @@ def objectives(*names: str, contexts: tuple[str, ...] = (CAUSAL, WHOLE)) -> tupl
     return tuple(Method(name, contexts, {"objective": name}) for name in names)
 
 
+def repeated(seeds: int, *methods: Method) -> tuple[Method, ...]:
+    """Returns methods with so many networks, where it is another number than their study's."""
+    return tuple(replace(method, seeds=seeds) for method in methods)
+
+
 def at_every_timestep(*names: str) -> tuple[Method, ...]:
     """Returns causal objectives whose network sees each timestep in one sequence, whatever the others' stride is."""
     return tuple(Method(f"{name}_stride-1", (CAUSAL,), {"objective": name, "stride": 1}) for name in names)

@@ -140,7 +140,7 @@ def test_the_gap_closed_is_a_share_and_none_without_a_gap() -> None:
 
 def test_arms_are_chosen_by_pattern() -> None:
     grid = registry.load("table_2_1")
-    assert [arm.seed for arm in choose(grid, ["grid-mil-causal-*"])] == [0, 1, 2]
+    assert [arm.seed for arm in choose(grid, ["grid-lse-causal-*"])] == [0, 1, 2]
     assert choose(grid, []) == list(grid.arms)
     with pytest.raises(NotFound):
         choose(grid, ["grid-mil-*", "dial-*"])
