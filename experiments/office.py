@@ -25,6 +25,7 @@ _TRAJECTORIES = 4_100
 _FIT = {"encoder": "convolutional", "steps": 6_500}
 _FLOORS = ({"policy": "random", "task": "office"}, {"policy": "random", "task": "office.2"})
 _GOALS = [f"goal-{number}" for number in range(1, 11)]
+_PATHS = ("maze", "loop")
 _EPISODES = 100
 
 
@@ -65,6 +66,10 @@ EXPLORATION = Exploration(
         },
     },
     chooses=("goals_3", "stopped.goal"),
+    sift={
+        **{path: _path("office.4", path) for path in _PATHS},
+        **{f"{path}_every_frame": _path("office.4", path, every=1) for path in _PATHS},
+    },
     places=2,
     figures=("stopped.goal", "success", "contact", "completion"),
 )

@@ -1,7 +1,7 @@
 """What differs between the worlds of chapter 3: data, rows, and the settings in which demonstrations are followed."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from experiments.robustness.evaluated import evaluate
@@ -9,6 +9,9 @@ from experiments.workbench.arms import Arm
 from experiments.workbench.pipelines import Step, step
 
 EXPERT, RANDOM_SEARCH, TRUE_SWITCHING = "expert", "random_search", "true_switching"
+SIFT = "sift"
+"""Follows by matching features, and learns nothing."""
+
 EXPLORING = "exploring"
 """What made the data, which follows nothing: how far it gets."""
 
@@ -55,6 +58,7 @@ class Exploration:
         settings: By kind and name.
         chooses: Setting and figure that choose between greedy and sampled actions.
         figures: Of each trial; numbers, or lists by landmark, of which the mean counts.
+        sift: Settings of the tests that the row `sift` has, by name; empty where there is no such row.
         places: Numbers of a true state, the first ones, that say where the robot is; 0 where it stays where it is.
     """
 
@@ -68,6 +72,7 @@ class Exploration:
     settings: Mapping[str, Mapping[str, Setting]]
     chooses: tuple[str, str]
     figures: Sequence[str]
+    sift: Mapping[str, Setting] = field(default_factory=dict)
     places: int = 0
 
     @property
@@ -86,7 +91,9 @@ class Exploration:
             for settings in self.settings
             for row, data, seed in [*without, *fits]
         )
-        return (*(Arm(self.world, EXPLORING, {DATA_OPTION: data}) for data in self.seeds if self.places), *followers)
+        explored = [Arm(self.world, EXPLORING, {DATA_OPTION: data}) for data in self.seeds if self.places]
+        classical = [Arm(self.world, SIFT, {SETTINGS_OPTION: TEST})] if self.sift else []
+        return (*explored, *classical, *followers)
 
     def collected(self, data: str) -> Mapping[str, Any]:
         """Returns the configuration of the run that collects the data of an exploration."""
@@ -96,7 +103,13 @@ class Exploration:
     @property
     def all_settings(self) -> dict[str, Setting]:
         """Settings of all kinds, by name."""
-        return {name: setting for of_kind in self.settings.values() for name, setting in of_kind.items()}
+        found = {name: setting for of_kind in self.settings.values() for name, setting in of_kind.items()}
+        return {**found, **self.sift}
+
+    def settings_of(self, arm: Arm) -> Mapping[str, Setting]:
+        """Returns the settings in which an arm follows demonstrations, by name."""
+        kind = arm.options.get(SETTINGS_OPTION, "")
+        return self.sift if arm.method == SIFT else self.settings.get(kind, {})
 
     def fit_step(self, arm: Arm) -> Step:
         """Returns the step that fits the policy of an arm; that of true switching is the one that claims rest on."""
@@ -110,14 +123,14 @@ class Exploration:
         """Yields the steps that evaluate an arm, for each of its settings."""
         policy = {EXPERT: "expert", RANDOM_SEARCH: "random"}.get(arm.method, {"model": POLICY})
         switching = {"switching": "truth"} if arm.method == TRUE_SWITCHING else {}
-        for name, setting in self.settings.get(arm.options.get(SETTINGS_OPTION, ""), {}).items():
+        for name, setting in self.settings_of(arm).items():
             for each, config in zip(setting.names(name), setting.evaluations, strict=True):
                 yield evaluate("demonstrations", each, policy=policy, **config, **switching)
 
 
 def is_fitted(method: str) -> bool:
     """Returns whether a row has a policy that is fitted."""
-    return method not in (EXPERT, RANDOM_SEARCH, EXPLORING)
+    return method not in (EXPERT, RANDOM_SEARCH, SIFT, EXPLORING)
 
 
 def recognizer_step(data: str, **config: Any) -> Step:

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from experiments.chapter3 import followed_report, reach
+from experiments.chapter3 import followed_report, reach, sift
 from experiments.chapter3.exploration import (
     CEILINGS,
     DATA_OPTION,
@@ -19,7 +19,7 @@ from experiments.chapter3.exploration import (
     EXPLORING,
     POLICY,
     RANDOM_SEARCH,
-    SETTINGS_OPTION,
+    SIFT,
     Exploration,
     is_fitted,
 )
@@ -60,7 +60,7 @@ class Followers(Experiment):
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Makes data and recognizer, or waits until another arm has made them."""
-        return arm.method in (EXPERT, RANDOM_SEARCH) or self._shared(work) is not None
+        return arm.method in (EXPERT, RANDOM_SEARCH, SIFT) or self._shared(work) is not None
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
@@ -69,20 +69,23 @@ class Followers(Experiment):
         if arm.method == EXPLORING:
             return self._explored(arm, work, folder)
         found: dict[str, Trials] = {}
-        fitted = self._fitted(arm, work, on_progress) if is_fitted(arm.method) else None
-        if is_fitted(arm.method) and fitted is None:
+        source = self._fitted(arm, work, on_progress) if is_fitted(arm.method) else None
+        if is_fitted(arm.method) and source is None:
             return None
-        for acting in ACTING if fitted and arm.method not in CEILINGS else ACTING[:1]:
-            source = fitted
-            if fitted and acting != GREEDY:
+        modules = {"imitation": sift.MODULE} if arm.method == SIFT else {}
+        if arm.method == SIFT:
+            source = folder / "made"
+            sift.publish(arm.world, source / "data", model_name=POLICY)
+        for acting in ACTING if is_fitted(arm.method) and arm.method not in CEILINGS else ACTING[:1]:
+            if source and acting != GREEDY:
+                publish_sampled(source / "data", folder / "drawn" / "data")
                 source = folder / "drawn"
-                publish_sampled(fitted / "data", source / "data")
-            trials = run_pipeline([*self.exploration.steps(arm)], folder / acting, on_progress, source=source)
+            steps = [*self.exploration.steps(arm)]
+            trials = run_pipeline(steps, folder / acting, on_progress, source=source, modules=modules)
             if trials is None:
                 return None
             found[acting] = trials
-        settings = self.exploration.settings[arm.options[SETTINGS_OPTION]]
-        return Outcome({}, dict(samples(found, settings, self.exploration.figures)))
+        return Outcome({}, dict(samples(found, self.exploration.settings_of(arm), self.exploration.figures)))
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns a row for each fit that has results, and the claims."""

@@ -53,6 +53,7 @@ def run_pipeline(
     *,
     source: Path | None = None,
     keeps_datasets: bool = False,
+    modules: Mapping[str, str] = {},
     then: Callable[[Mapping[str, str]], Awaitable[None]] | None = None,
 ) -> Trials | None:
     """Runs a pipeline, or resumes it; returns what its evaluations measured, None when SIGTERM stopped it.
@@ -63,6 +64,7 @@ def run_pipeline(
         on_progress: Called now and then.
         source: Folder of a pipeline that is done: the services begin with its datasets and models.
         keeps_datasets: Whether another pipeline needs its datasets.
+        modules: Modules of services that others take the place of, by service.
         then: Awaited once the pipeline is done, with the addresses of the services, which still run.
 
     Raises:
@@ -73,7 +75,9 @@ def run_pipeline(
         for part in ("datasets", "models"):
             _link_folder(source / "data" / part, data / part)
     with stop_on_sigterm() as is_stopped:
-        is_done = asyncio.run(_run_to_its_end({"steps": list(steps)}, data, on_progress, is_stopped, then=then))
+        services = {**choose(_SERVICES), **modules}
+        running = _run_to_its_end(services, {"steps": list(steps)}, data, on_progress, is_stopped, then=then)
+        is_done = asyncio.run(running)
     if not is_done:
         return None
     if not keeps_datasets:
@@ -122,6 +126,7 @@ def run_folder(folder: Path) -> Path:
 
 
 async def _run_to_its_end(
+    services: Mapping[str, str],
     config: dict[str, Any],
     data: Path,
     on_progress: Callable[[], None],
@@ -131,7 +136,7 @@ async def _run_to_its_end(
 ) -> bool:
     """Returns whether the run came to its end: False when it was stopped before."""
     environ, ports = isolated_environ(os.environ), free_ports(_SERVICES)
-    async with Stack(choose(_SERVICES), data_dir=data, environ=environ, ports=ports) as stack:
+    async with Stack(services, data_dir=data, environ=environ, ports=ports) as stack:
         await stack.ready(timeout_s=_READY_TIMEOUT_S)
         async with OrchestratorClient(channel_to(stack.addresses["orchestrator"], CliSettings())) as client:
             following = asyncio.create_task(_follow(client, config, on_progress))

@@ -3,16 +3,18 @@
 from pathlib import Path
 
 import numpy as np
+import PIL.Image
 import pytest
 import torch
 from experiments import doom, office, rope
-from experiments.chapter3 import reach, resampled
+from experiments.chapter3 import reach, resampled, sift
 from experiments.chapter3.exploration import (
     CHOICE,
     DATA_OPTION,
     EXPERT,
     EXPLORING,
     RANDOM_SEARCH,
+    SIFT,
     Exploration,
     Setting,
     is_fitted,
@@ -83,7 +85,7 @@ def test_the_orchestrator_takes_all_pipelines_and_evaluations_have_seeds_of_thei
         KINDS["pipeline"].parse({"steps": steps})
         assert arm.seed not in {each["config"]["seed"] for each in steps if each["kind"] == "evaluate"}
     unfitted = {arm.method for arm in exploration.arms if not is_fitted(arm.method)}
-    assert unfitted - {EXPLORING} == {EXPERT, RANDOM_SEARCH}
+    assert unfitted - {EXPLORING, SIFT} == {EXPERT, RANDOM_SEARCH}
     assert all(exploration.collected(data)["dataset"] == data for data in exploration.seeds)
 
 
@@ -149,6 +151,24 @@ def test_exploration_gets_as_far_as_its_parts_in_their_shares() -> None:
     assert found["moved.10.median"] == 0
     assert found["moved.10.p90"] == 50
     assert found["moved.20.p90"] == 100
+
+
+def test_sift_turns_to_where_the_goal_is_and_drives_where_it_is_larger(tmp_path: Path) -> None:
+    pytest.importorskip("cv2")
+    sift.publish("office", tmp_path, model_name="policy")
+    store = ModelStore(tmp_path / "models" / "imitation")
+    policy = sift.load(store.folder(ModelRef("policy", store.active_version("policy"))), "cpu")
+    (camera,), names = policy.spec.cameras, policy.spec.action.names
+    rng = np.random.default_rng(0)
+    wall = np.kron(rng.integers(0, 256, (40, 80, 3), np.uint8), np.ones((8, 8, 1), np.uint8))  # (320, 640, 3)
+    middle = wall[80:240, 240:400]
+    ahead = np.asarray(PIL.Image.fromarray(wall[98:222, 258:382]).resize((160, 160)))
+    goals = {"left": wall[80:240, 180:340], "right": wall[80:240, 300:460], "forward": ahead, "": middle}
+    codes = policy.encode_goals({camera.name: np.stack(list(goals.values()))})
+    seen = {camera.name: np.stack([middle] * len(goals))}
+    answer = policy.step(seen, codes, np.zeros((4, 1), np.int64), np.zeros((4, 0), np.float32))
+    assert [names[action] for action in answer.actions[:3, 0, 0]] == ["left", "right", "forward"]
+    assert answer.reached.tolist() == [0, 0, 0, 1]
 
 
 def test_trials_of_several_evaluations_are_taken_in_turn() -> None:
