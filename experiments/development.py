@@ -1,7 +1,5 @@
 """What ours is chosen from: objectives, and what may follow them, in the development world `blocks`."""
 
-from dataclasses import replace
-
 from experiments.segmentation.dataset import DatasetSpec, SplitSpec
 from experiments.segmentation.experiment import SegmentationExperiment
 from experiments.segmentation.methods import (
@@ -13,6 +11,7 @@ from experiments.segmentation.methods import (
     ours,
     ours_after,
     ours_from_lse,
+    repeated,
     supervised,
 )
 from experiments.segmentation.report import Report
@@ -35,17 +34,14 @@ EXPERIMENT = SegmentationExperiment(
                 "blocks", train=SplitSpec(800, 2, 3), validation=SplitSpec(100, 2, 3), test=SplitSpec(100, 4, 4)
             ),
             methods=(
-                replace(ours(), seeds=2),
-                replace(ours_from_lse(), seeds=2),
-                replace(ours_after(CAUSAL), seeds=1),
-                replace(ours_after(LOOKAHEAD), seeds=2),
+                *repeated(2, ours(), ours_from_lse()),
+                *repeated(1, ours_after(CAUSAL)),
+                *repeated(2, ours_after(LOOKAHEAD)),
                 ours_after("lookahead-10"),
-                replace(_then("self_training", "self_training"), seeds=2),
+                *repeated(2, _then("self_training", "self_training")),
                 _then(CHOSEN, CHOSEN),
-                *(replace(each, seeds=2) for each in objectives("lse_per_timestep", contexts=(WHOLE,))),
-                *objectives("lse", contexts=(CAUSAL, WHOLE)),
-                supervised(CAUSAL, WHOLE),
-                *objectives("mil", "fcn_mil", "ccnn", contexts=(CAUSAL,)),
+                *repeated(2, *objectives("lse_per_timestep", contexts=(WHOLE,))),
+                *repeated(1, supervised(WHOLE), *objectives("lse", "mil", "fcn_mil", "ccnn", contexts=(CAUSAL,))),
             ),
             seeds=3,
             settings={
