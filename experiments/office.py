@@ -19,8 +19,8 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
     "gsp": {"forward_consistency_weight": 0.1, "forward_target": "pixels", "forward_pretraining_steps": 1000},
 }
 _TASK, _DATA = "office", "random"
-_TRAJECTORIES = 4_100
-"""They end where the robot touches something, after 56 actions in the mean: 230 000 in all."""
+_COLLECTED = {"count": 4_100, "height": 48, "width": 48}
+"""Trajectories end where the robot touches something, after 56 actions in the mean: 230 000 in all."""
 
 _FIT = {"encoder": "convolutional", "steps": 6_500}
 _FLOORS = ({"policy": "random", "task": "office"}, {"policy": "random", "task": "office.2"})
@@ -44,7 +44,7 @@ EXPLORATION = Exploration(
     world=_TASK,
     version=1,
     shared=(
-        step(_DATA, "collect", dataset=_DATA, task=_TASK, behaviour="mix", parts=list(_FLOORS), count=_TRAJECTORIES),
+        step(_DATA, "collect", dataset=_DATA, task=_TASK, behaviour="mix", parts=list(_FLOORS), **_COLLECTED),
         recognizer_step(_DATA, **_FIT),
     ),
     fit=_FIT,
