@@ -74,11 +74,10 @@ class SiftPolicy(Policy):
         goals: npt.NDArray[np.float32],
         previous: npt.NDArray[Any],
         recurrent: npt.NDArray[np.float32],
-        robot_state: npt.NDArray[np.float32] | None = None,
-        *,
-        draws: npt.NDArray[np.float64] | None = None,
+        *_: Any,
+        **__: Any,
     ) -> PolicyOutput:
-        """Returns the action of each robot, and 1 where it is at its goal."""
+        """Returns the action of each robot, and 1 where it is at its goal; see `Policy.step`."""
         (seen,) = frames.values()
         pairs = zip(map(_gray, seen), goals.astype(np.uint8).reshape(-1, _SIDE, _SIDE), strict=True)
         chosen = [self._choose(*pair) for pair in pairs]

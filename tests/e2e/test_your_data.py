@@ -106,7 +106,7 @@ def test_exploration_becomes_a_policy(shell: Shell, block_with: Shell, tmp_path:
             draw(tmp_path / "play" / str(index) / f"{t}.png", [(*(middle + (t - STEPS / 2) * action), RED)])
         table = np.tile(action, (STEPS, 1))
         np.savetxt(tmp_path / "play" / str(index) / "actions.csv", table, delimiter=",", header="dx,dy", comments="")
-    block = block_with("dataset import play")
+    block = block_with("--recordings play")
     back = re.sub(r"\d(?=\.png)", lambda digit: {"0": "9", "9": "0"}[digit[0]], block.splitlines()[-1])
 
     answers = shell(block), shell(back)
