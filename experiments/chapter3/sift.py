@@ -25,6 +25,7 @@ from freerein.serving.limits import Limits
 from freerein.serving.metrics import Metrics
 from freerein.types.common import Camera
 from freerein_imitation.__main__ import NAME, build
+from freerein_imitation.methods import METHODS
 from freerein_imitation.model.policy import CameraFrames, Policy, PolicyOutput, PolicySpec
 from freerein_sim.worlds.tasks import tasks
 
@@ -132,10 +133,10 @@ def publish(world: str, data_dir: Path, *, model_name: str) -> None:
     store.activate(store.publish(model_name, made))
 
 
-def load(folder: Path, _device: str) -> SiftPolicy:
-    """Returns the policy in a folder that `publish` made."""
+def load(folder: Path, device: str) -> Policy:
+    """Returns the policy in a folder: one that `publish` made, or one that was fitted, such as those that ship."""
     card: Mapping[str, str] = json.loads((folder / _CARD).read_bytes())
-    return SiftPolicy(card[_WORLD])
+    return SiftPolicy(card[_WORLD]) if _WORLD in card else METHODS.load(folder, device)
 
 
 def _build(settings: LearnedSettings, limits: Limits, metrics: Metrics, health: Health) -> Service:
