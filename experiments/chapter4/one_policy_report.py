@@ -7,6 +7,8 @@ from itertools import chain
 from statistics import mean
 from typing import Any
 
+import numpy as np
+
 from experiments.chapter4.students import DISSERTATION, IN_SCENES, LIGHTS, ORDERS, OURS, POINTS, RANDOM, RETURN, SCENES
 from experiments.chapter4.tasks import PARTS, TASK_SETS, TEST
 from experiments.teachers import SEEN, STARTS
@@ -133,11 +135,12 @@ def _return_claim(students: Students, method: str, how: str, part: str, arms: Se
 
 
 def _points_claim(method: str, how: str, part: str, arms: Sequence[ArmResult]) -> Claim:
-    expert = [Sample(each.samples[f"{part}.{RETURN}"].counts, each.samples[f"{part}.{POINTS}"].counts) for each in arms]
+    returns, points = _samples(arms, part, RETURN), _samples(arms, part, POINTS)
+    expert = [Sample(share.counts, each.counts) for share, each in zip(returns, points, strict=True)]
     return claims.claim_of(
         f"{_name(method, how, part)}_points",
         arms,
-        _samples(arms, part, POINTS),
+        points,
         seeds=len(arms),
         scale="full" if method == OURS else "reduced",
         ceiling=round(claims.mean(expert), 3),
@@ -173,8 +176,11 @@ def _of_nominal(text: Sequence[ArmResult], in_scenes: Sequence[ArmResult], tasks
 
 def _difference(text: Sequence[ArmResult], others: Sequence[ArmResult], how: str) -> Claim | None:
     """Returns by how much more a text is worth, in the same episodes, as a share of the expert's return."""
-    seeds = {each.seed: each.samples[f"{_ORDERED}.{RETURN}"] for each in others}
-    paired = [(each.samples[f"{_ORDERED}.{RETURN}"], seeds[each.seed]) for each in text if each.seed in seeds]
+    seeds, told = (
+        {arm.seed: sample for arm, sample in zip(arms, _samples(arms, _ORDERED, RETURN), strict=True)}
+        for arms in (others, text)
+    )
+    paired = [(sample, seeds[seed]) for seed, sample in told.items() if seed in seeds]
     if not paired:
         return None
     gains = [
@@ -188,7 +194,14 @@ def _difference(text: Sequence[ArmResult], others: Sequence[ArmResult], how: str
 
 
 def _samples(arms: Sequence[ArmResult], part: str, figure: str) -> list[Sample]:
-    return [each.samples[f"{part}.{figure}"] for each in arms]
+    """Returns a figure of a set of tasks by seed. A trial is a start: an episode of each task, which all draw alike."""
+    tasks = len(TASK_SETS[part.partition(".")[0]])
+    return [_by_start(each.samples[f"{part}.{figure}"], tasks) for each in arms]
+
+
+def _by_start(episodes: Sample, tasks: int) -> Sample:
+    totals, counts = (np.reshape(each, (tasks, -1)).sum(axis=0).tolist() for each in (episodes.totals, episodes.counts))
+    return Sample(totals, counts)
 
 
 def _header(unit: str) -> tuple[str, ...]:
@@ -203,7 +216,8 @@ def _rows(students: Students, figure: str, unit: float) -> Iterator[tuple[str, .
 def _rows_by_order(students: Students) -> Iterator[tuple[str, ...]]:
     for (method, how), arms in _in_nominal_scenes(students):
         for order in ORDERS:
-            cells = (_cell(_samples(arms, f"{part}.{order}", RETURN), _PER_CENT) for part in PARTS)
+            shares = ([each.samples[f"{part}.{order}.{RETURN}"] for each in arms] for part in PARTS)
+            cells = (f"{_PER_CENT * claims.mean(each):.1f}" for each in shares)
             yield f"{method}, {order.replace('-', ' ')}", how, str(len(arms)), *cells
 
 
