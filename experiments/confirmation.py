@@ -49,8 +49,8 @@ class _World:
         steps: Optimiser steps.
         encoder: Image encoder.
         stride: As in `SegmentationConfig`.
-        claims_gap: Whether a claim closes a gap from the best of all baselines here; elsewhere the dissertation's
-            method has `_SEEDS` networks, other objectives one, and none sees what comes after.
+        claims_gap: Whether a claim closes a gap from the best of all baselines here; elsewhere none of them sees what
+            comes after.
     """
 
     task: str
@@ -107,12 +107,13 @@ def _study(world: _World, methods: tuple[Method, ...]) -> Study:
 
 
 def _methods(world: _World) -> tuple[Method, ...]:
-    others = ("mil", "fcn_mil", "ccnn")
-    if not world.claims_gap:
-        compared = (*objectives("lse", contexts=(CAUSAL,)), *repeated(1, *objectives(*others, contexts=(CAUSAL,))))
-    else:
-        whole = repeated(1, *objectives("lse", *others, "lse_per_timestep", contexts=(WHOLE,)))
-        compared = (*objectives("lse", *others, contexts=(CAUSAL,)), *whole)
+    others = objectives("mil", "fcn_mil", "ccnn", contexts=(CAUSAL,))
+    whole = objectives("lse", "mil", "fcn_mil", "ccnn", "lse_per_timestep", contexts=(WHOLE,))
+    compared = (
+        *objectives("lse", contexts=(CAUSAL,)),
+        *(others if world.task == "dial" else repeated(1, *others)),
+        *(repeated(1, *whole) if world.claims_gap else ()),
+    )
     return (
         *recipe(seeds=_SEEDS_OF_RECIPE),
         *compared,
