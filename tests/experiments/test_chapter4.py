@@ -151,12 +151,8 @@ def test_a_claim_on_students_needs_three_seeds_and_a_difference_that_is_above_ch
     made = one_policy_report.table([*results, *in_scenes, student("random", "", 0, 0.0)])
     found = {claim.claim: claim for claim in made.claims}
     seen = found["language_train_seen"]
-    assert (seen.value, seen.met, seen.seeds, seen.trials) == (
-        pytest.approx(100 * (56 + 1.5) / 80, abs=0.01),
-        True,
-        3,
-        72,
-    )
+    assert seen.value == pytest.approx(100 * (56 + 1.5) / 80, abs=0.01)
+    assert (seen.met, seen.seeds, seen.trials) == (True, 3, 4)  # a start, of all tasks, is a trial
     assert seen.baseline == pytest.approx(100 * (20 + 1.5) / 80, abs=0.01)
     assert found["language_train_seen_points"].dissertation == 29.89
     assert found["conditioning_order"].value == pytest.approx(20, abs=0.01)
