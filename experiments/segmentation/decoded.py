@@ -52,11 +52,14 @@ class Decoded:
         pairs = (zip(labels, self.truth, strict=True) for labels in self.networks)
         return [Sample.of_flags(change(ours) == theirs for ours, theirs in each) for each in pairs]
 
-    def boundary_error(self) -> tuple[float, float]:
-        """Returns mean and standard deviation of how late skills begin, in timesteps, over boundaries and networks."""
+    def boundary_error(self) -> tuple[float, float] | None:
+        """Returns mean and standard deviation of how late skills begin, in timesteps, over boundaries and networks.
+
+        None where no skill of a boundary begins anywhere.
+        """
         pairs = [pair for labels in self.networks for pair in zip(labels, self.truth, strict=True)]
         errors = [error for pair in pairs for error in boundary_errors(*pair)]
-        return (float(np.mean(errors)), float(np.std(errors))) if errors else (np.nan, np.nan)
+        return (float(np.mean(errors)), float(np.std(errors))) if errors else None
 
     def best_delay(self) -> int:
         """Returns how many timesteps earlier labels are most accurate: by true labels, for the development world."""

@@ -200,9 +200,10 @@ def _decoded_cells(rows: Rows, row: Row) -> tuple[str, ...]:
     decoded, samples = Decoded.of(rows, row), moved_samples(rows, row)
     if decoded is None:
         return "", "", ""
-    mean, deviation = decoded.boundary_error()
+    error = decoded.boundary_error()
+    late = "" if error is None else f"{error[0]:+.1f} ± {error[1]:.1f}"
     moved_cell = f"{PER_CENT * claims.mean(samples):.2f} (by {rows.delays[row]})" if samples else ""
-    return f"{mean:+.1f} ± {deviation:.1f}", moved_cell, f"{decoded.value(in_equal_parts):.2f}"
+    return late, moved_cell, f"{decoded.value(in_equal_parts):.2f}"
 
 
 def _row_cells(rows: Rows, row: Row, made: Sequence[Claim]) -> tuple[str, ...]:
