@@ -16,7 +16,8 @@ _PIXELS = 3
 
 
 def _dimmed(light: float) -> Effect:
-    return lambda frames: np.rint(light * frames).astype(np.uint8)
+    dimmed = np.rint(light * np.arange(256)).astype(np.uint8)
+    return lambda frames: dimmed[frames]
 
 
 def _pushed(frames: Frames) -> Frames:
