@@ -15,7 +15,7 @@ def keep_freed_memory(*, kept_s: float = _KEPT_S) -> None:
 
     By default glibc returns arrays above 32 MB as soon as they are freed, and each optimiser update pays for new
     pages. If freed memory were never returned, arrays of ever different sizes would leave ever more gaps: a fit to
-    trajectories of many lengths had 12 GB after half an hour. Changes nothing where the C library has no `mallopt`.
+    trajectories of many lengths, and its evaluation, ended with 15 GB. Changes nothing where the C library has no `mallopt`.
     """
     libc = ctypes.CDLL(None)
     if not hasattr(libc, "mallopt"):
