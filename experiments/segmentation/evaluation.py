@@ -42,7 +42,7 @@ LEAST_CONFIDENCE = 0.8
 _CLAIMED = {"validation": CONFIDENT_ACCURACY, "test": DECODED_ACCURACY}
 """What claims are made of beside frame accuracy, by split."""
 
-_BATCH = 128
+_BATCH = 16
 
 
 @torch.inference_mode()
