@@ -34,7 +34,7 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
         **_CONSISTENT,
         "forward_pretraining_steps": 1000,
         "policy_pretraining_steps": 1000,
-        **_OF_VARIANTS,
+        "steps": 5_000,
     },
 }
 _SIDE_ROWS = [row for row in _ROWS if row not in ("gsp_features", "gsp_no_consistency")]

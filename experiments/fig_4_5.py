@@ -27,7 +27,7 @@ from freerein_sim.worlds.generators import generator
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.world import expert_of
 
-_METHOD, _VERSION = "curves", 1
+_METHOD, _VERSION = "curves", 2
 _EPISODES, _SEED, _AFTER = 20, 1_000_003, 5
 _SIZE = 64
 """Episodes of the expert, each with some steps after the goal has come to hold; the first one is the curve."""
@@ -104,7 +104,7 @@ def _record(task: str, index: int) -> tuple[npt.NDArray[np.uint8], npt.NDArray[n
 def _base(frames: npt.NDArray[np.uint8], text: str) -> npt.NDArray[np.float64]:
     model = open_grounding()
     (camera,) = model.cameras
-    seen, (said, _) = model.embed_images({camera: frames}), model.embed_texts((text,))
+    seen, (said, _) = model.embed_images({camera: frames}), model.embed_texts((model.grammar.read(text).text,))
     return np.asarray((seen.vectors @ said.T)[:, 0], np.float64)
 
 

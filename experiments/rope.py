@@ -17,11 +17,11 @@ _ONE_STEP = {"recurrent": False, "use_previous_action": False}
 _ROWS: Mapping[str, Mapping[str, Any]] = {
     "inverse_model": {"method": "inverse_model"},
     "gsp_regularised": {**_ONE_STEP, **_PIXELS, "forward_use": "regulariser"},
-    "gsp": {**_ONE_STEP, **_PIXELS, "forward_pretraining_steps": 1000},
+    "gsp": {**_ONE_STEP, **_PIXELS},
 }
 _TASK, _DATA = "rope", "random"
 _TRAJECTORIES = 1_500
-"""Of 40 actions: 60 000."""
+"""Of 40 actions, 60 000 in all; the last of each has no image after it."""
 
 _STEPS = {"encoder": "convolutional", "steps": 6_500}
 _ONE_ACTION = {"min_goal_steps": 1, "max_goal_steps": 1}
@@ -59,6 +59,7 @@ EXPLORATION = Exploration(
     },
     chooses=("knot_choice", "success"),
     figures=("success", "tps-rpm", "completion"),
+    switching="steps",
 )
 
 _KNOTS = Measured("knot", "success", least=45.0, ceiling=90.0, dissertation=60.0)

@@ -60,6 +60,7 @@ class Exploration:
         figures: Of each trial; numbers, or lists by landmark, of which the mean counts.
         sift: Settings of the tests that the row `sift` has, by name; empty where there is no such row.
         places: Numbers of a true state, the first ones, that say where the robot is; 0 where it stays where it is.
+        switching: What takes fitted policies to the next landmark; see `evaluate`.
     """
 
     world: str
@@ -74,6 +75,7 @@ class Exploration:
     figures: Sequence[str]
     sift: Mapping[str, Setting] = field(default_factory=dict)
     places: int = 0
+    switching: str = "policy"
 
     @property
     def arms(self) -> tuple[Arm, ...]:
@@ -122,7 +124,9 @@ class Exploration:
     def steps(self, arm: Arm) -> Iterator[Step]:
         """Yields the steps that evaluate an arm, for each of its settings."""
         policy = {EXPERT: "expert", RANDOM_SEARCH: "random"}.get(arm.method, {"model": POLICY})
-        switching = {"switching": "truth"} if arm.method == TRUE_SWITCHING else {}
+        switching = {}
+        if is_fitted(arm.method):
+            switching = {"switching": "truth" if arm.method == TRUE_SWITCHING else self.switching}
         for name, setting in self.settings_of(arm).items():
             for each, config in zip(setting.names(name), setting.evaluations, strict=True):
                 yield evaluate("demonstrations", each, policy=policy, **config, **switching)

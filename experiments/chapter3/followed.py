@@ -6,6 +6,8 @@ Samples are named `<acting>.<setting>.<figure>`, such as `greedy.a.completion`; 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from experiments.chapter3.exploration import Setting
 from experiments.robustness.evaluated import flagged
 from experiments.workbench.pipelines import Trials
@@ -30,7 +32,8 @@ def samples(
                     yield f"{acting}.{name}.{figure}", _sample([each[figure] for each in episodes])
             if "confidence" in episodes[0]:
                 for quality, sample in flagged(episodes, "at_landmark"):
-                    yield f"{acting}.{name}.{quality}", sample
+                    if np.isfinite(sample.totals).all():  # else the robot was nowhere, or there always
+                        yield f"{acting}.{name}.{quality}", sample
 
 
 def _sample(values: Sequence[Any]) -> Sample:

@@ -16,6 +16,7 @@ from experiments.workbench.claims import Claim
 from experiments.workbench.plots import interval_plot
 from experiments.workbench.results import ArmResult, Sample
 from experiments.workbench.table import Picture, Section, Table, words
+from freerein.metrics import median_interval
 
 _SEEDS, _DIGITS = 3, 3
 _LEAST_AUROC = 0.85
@@ -114,7 +115,7 @@ class _Row:
         known = [acting for acting in ACTING if found[acting]]
         if known:
             return max(known, key=lambda acting: claims.mean([*found[acting].values()]))
-        return "" if is_fitted(self.method) and self.method not in CEILINGS else GREEDY
+        return "" if is_fitted(self.method) else GREEDY
 
     def episodes(self, measured: Measured, *, acting: str) -> dict[int, resampled.Episodes]:
         """Returns a figure of each seed that has it, float64 (1, demonstrations, starts)."""
@@ -171,18 +172,26 @@ def _cell(sample: Sample | None) -> str:
     if sample is None:
         return ""
     values = np.divide(sample.totals, sample.counts)
-    low, high = resampled.median_interval(values)
+    low, high = median_interval(values)
     if set(sample.totals) <= {0, 1}:
         return f"{values.mean():.1%}"
     return f"{np.median(values):.3g} [{low:.3g}, {high:.3g}], mean {values.mean():.3g}"
 
 
 def _reached(results: Sequence[ArmResult]) -> Iterator[Section]:
-    """Yields how far explorations get, where that is known."""
+    """Yields how much was explored, and how far explorations get, where that is known."""
     explored = [each for each in results if each.method == EXPLORING]
-    header = ("data", *(f"{actions} actions, {quantile}" for actions in reach.ACTIONS for quantile in reach.QUANTILES))
+    moved = [(actions, quantile) for actions in reach.ACTIONS for quantile in reach.QUANTILES]
+    header = ("data", "timesteps", *(f"{actions} actions, {quantile}" for actions, quantile in moved))
     if explored:
-        cells = [(each.options[DATA_OPTION], *(f"{value:.3g}" for value in each.figures.values())) for each in explored]
+        cells = [
+            (
+                each.options[DATA_OPTION],
+                f"{each.figures[reach.EXPLORED]:.0f}" if reach.EXPLORED in each.figures else "",
+                *(f"{each.figures[f'moved.{actions}.{quantile}']:.3g}" for actions, quantile in moved),
+            )
+            for each in explored
+        ]
         yield Section(header, tuple(cells), "How far exploration gets")
 
 
@@ -216,6 +225,7 @@ def _values(row: _Row, report: Report) -> Iterator[Claim]:
             high=round(high, _DIGITS),
             trials=episodes[0].size,
             dissertation=measured.dissertation if is_claim else None,
+            scale="full" if is_claim else None,
             target=least,
             met=None if least is None else (is_ceiling or len(episodes) >= _SEEDS) and value >= least,
             **_common(row.arms, len(episodes)),
@@ -223,25 +233,30 @@ def _values(row: _Row, report: Report) -> Iterator[Claim]:
 
 
 def _gain(gain: Gain, row: _Row, other: _Row) -> Iterator[Claim]:
-    """Yields by how much a row is better, paired by seed and episode; met where intervals are apart, too.
+    """Yields by how much a row is better, of the seeds that both have; met where intervals are apart, too.
 
-    Both act as the first does.
+    Each acts in the way that suits it. Both have the same demonstrations and starts, and are resampled together.
     """
-    own, others = (each.episodes(gain.measured, acting=row.acting) for each in (row, other))
+    own, others = (each.episodes(gain.measured, acting=each.acting) for each in (row, other))
     seeds = sorted(own.keys() & others.keys())
     if not seeds:
         return
-    sign = -1 if gain.is_less else 1
-    first, second = (sign * np.concatenate([each[seed] for seed in seeds]) for each in (own, others))
-    low, high = resampled.interval(first - second, resampled.mean)
-    is_apart = resampled.interval(first, resampled.mean)[0] > resampled.interval(second, resampled.mean)[1]
+    both = np.stack([np.concatenate([each[seed] for seed in seeds]) for each in (own, others)])
+    statistic, sign = _STATISTICS[gain.measured.statistic], -1 if gain.is_less else 1
+
+    def gained(pair: resampled.Episodes) -> float:
+        return sign * (statistic(pair[0]) - statistic(pair[1]))
+
+    low, high = resampled.interval(both, gained)
+    (least, most), (other_least, other_most) = (resampled.interval(each, statistic) for each in both)
+    is_apart = most < other_least if gain.is_less else least > other_most
     yield Claim(
         claim=gain.claim,
-        value=round(resampled.mean(first - second), _DIGITS),
+        value=round(gained(both), _DIGITS),
         low=round(low, _DIGITS),
         high=round(high, _DIGITS),
-        trials=first[0].size,
-        baseline=round(abs(resampled.mean(second)), _DIGITS),
+        trials=both[0, 0].size,
+        baseline=round(statistic(both[1]), _DIGITS),
         target=0.0,
         met=len(seeds) >= gain.seeds and low > 0 and is_apart,
         **_common([*row.arms, *other.arms], len(seeds)),

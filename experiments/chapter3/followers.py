@@ -13,7 +13,6 @@ from typing import Any
 
 from experiments.chapter3 import followed_report, reach, sift
 from experiments.chapter3.exploration import (
-    CEILINGS,
     DATA_OPTION,
     EXPERT,
     EXPLORING,
@@ -76,7 +75,7 @@ class Followers(Experiment):
         if arm.method == SIFT:
             source = folder / "made"
             sift.publish(arm.world, source / "data", model_name=POLICY)
-        for acting in ACTING if is_fitted(arm.method) and arm.method not in CEILINGS else ACTING[:1]:
+        for acting in ACTING if is_fitted(arm.method) else ACTING[:1]:
             if source and acting != GREEDY:
                 publish_sampled(source / "data", folder / "drawn" / "data")
                 source = folder / "drawn"

@@ -1,4 +1,4 @@
-"""How far a robot gets by its exploration: distances between its places a few actions apart."""
+"""How much a robot explored, and how far it gets so: distances between its places a few actions apart."""
 
 import asyncio
 import os
@@ -14,6 +14,7 @@ from freerein.cli.connection import channel_to
 from freerein.cli.settings import CliSettings
 from freerein.clients import SimClient, SyncClient
 from freerein.clients.tasks import find_task
+from freerein.data import Dataset, dataset_path
 from freerein.learning.actor_critic.policy_files import load_policy
 from freerein.stack import Stack, choose, free_ports, isolated_environ
 from freerein.types.sim import CreateSessionRequest
@@ -24,12 +25,15 @@ ACTIONS = (5, 10, 15, 20)
 """Between two places."""
 
 QUANTILES = {"median": 50, "p90": 90}
+EXPLORED = "explored"
+"""Name of the number of timesteps in the data."""
+
 _EPISODES, _SEED = 64, 2_000_003
 _READY_TIMEOUT_S = 300.0
 
 
 def measure(collected: Mapping[str, Any], *, places: int, made: Path, folder: Path) -> dict[str, float]:
-    """Returns quantiles of the distances, over all parts of a dataset in their shares, by name.
+    """Returns the timesteps of a dataset, and quantiles of the distances over all parts in their shares, by name.
 
     Args:
         collected: Configuration of the run that collects the data.
@@ -47,7 +51,9 @@ def measure(collected: Mapping[str, Any], *, places: int, made: Path, folder: Pa
             return [await asyncio.to_thread(_explored, sim, collected["task"], part, made) for part in parts]
 
     shares = [part.get("share", 1.0) for part in parts]
-    return distances([[each.states[:, :places] for each in part] for part in asyncio.run(explore())], shares)
+    places_of_parts = [[each.states[:, :places] for each in part] for part in asyncio.run(explore())]
+    explored = Dataset(dataset_path(made / "data", collected["dataset"])).lengths.sum()
+    return {EXPLORED: float(explored), **distances(places_of_parts, shares)}
 
 
 def distances(parts: Sequence[Sequence[npt.NDArray[np.float64]]], shares: Sequence[float]) -> dict[str, float]:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from experiments.workbench.results import Sample
 
 Episodes = npt.NDArray[np.float64]
-"""Of every seed, demonstration and start, float64 (seeds, demonstrations, starts)."""
+"""Of every seed, demonstration and start, float64 (seeds, demonstrations, starts); of two rows (2, ...)."""
 
 Statistic = Callable[[Episodes], float]
 
@@ -34,9 +34,10 @@ def mean(episodes: Episodes) -> float:
 def interval(episodes: Episodes, statistic: Statistic) -> tuple[float, float]:
     """Returns the 95 % interval of a statistic: percentile bootstrap over seeds, demonstrations and starts.
 
-    All seeds have the same resampled demonstrations, and starts of each. With one seed it says nothing about others.
+    All seeds, and rows, have the same resampled demonstrations, and starts of each. With one seed it says nothing about
+    others.
     """
-    rng, (seeds, demonstrations, starts) = np.random.default_rng(_SEED), episodes.shape
+    rng, (seeds, demonstrations, starts) = np.random.default_rng(_SEED), episodes.shape[-3:]
     values = []
     for _ in range(_RESAMPLES):
         seed = rng.integers(seeds, size=(seeds, 1, 1))
@@ -44,14 +45,6 @@ def interval(episodes: Episodes, statistic: Statistic) -> tuple[float, float]:
             rng.integers(demonstrations, size=(demonstrations, 1)),
             rng.integers(starts, size=(demonstrations, starts)),
         )
-        values.append(statistic(episodes[seed, shown, start]))
+        values.append(statistic(episodes[..., seed, shown, start]))
     low, high = np.percentile(values, [2.5, 97.5])
     return float(low), float(high)
-
-
-def median_interval(values: npt.NDArray[np.float64]) -> tuple[float, float]:
-    """Returns the 95 % interval of a median by order statistics: normal approximation of the binomial ranks."""
-    ordered, count = np.sort(values), len(values)
-    reach = 1.96 * np.sqrt(count) / 2
-    low, high = max(0, int(np.floor(count / 2 - reach))), min(count - 1, int(np.ceil(count / 2 + reach)))
-    return float(ordered[low]), float(ordered[high])

@@ -71,6 +71,8 @@ MAX_UNKNOWN_CHARACTERS = 32
 _NEARBY = ("beside", "next to", "close")
 """Known only before a side: alone they do not say which."""
 
+NEARBY_WORDS = frozenset(each.split()[0] for each in _NEARBY)
+
 _EXACTLY = ("just", "directly")
 _PIECE = re.compile(r"\S{1,64}|\s+")  # normalising a long run of combining marks takes quadratic time
 _UNSPOKEN = re.compile(r"(?:[^\w\s]|_)+")
@@ -125,7 +127,8 @@ class GoalText:
     """A text as a grammar reads it.
 
     Attributes:
-        text: What the model is given: the statement's caption, or the text itself.
+        text: What the model is given: the statement's caption, or the text itself, of a grounding model the words that
+            it was trained on.
         rivals: What it says with each other relation; empty without a relation.
         statement: The relation that it states; None where it states none, as by a grammar of criteria.
         unknown: Words that the model does not know, distinct and in order, at most `MAX_UNKNOWN` of at most
@@ -146,10 +149,11 @@ class Grammar:
     """The grammar of a model that was trained on texts of the words `vocabulary`.
 
     Negations and quantities are unknown words, except in a phrase. Without `phrases`, as of a grounding model, no text
-    is a statement, and the grammar's words are known.
+    is a statement, and the grammar's words are known: such a model tells things, and is not given the others, such as
+    `on`, nor those `untold`.
     """
 
-    def __init__(self, phrases: Sequence[str], vocabulary: Sequence[str]) -> None:
+    def __init__(self, phrases: Sequence[str], vocabulary: Sequence[str], *, untold: Iterable[str] = ()) -> None:
         self._phrases = names_of(phrases)
         self._longest = max(map(len, self._phrases), default=0)
         pairs = permutations(phrases, 2)
@@ -157,8 +161,10 @@ class Grammar:
         trained = frozenset(word for text in (*vocabulary, *phrases) for word in words(text)) - _ABSENCE_WORDS
         self._things = {f"{name[-1]}s" for name in (*self._phrases, *((noun,) for noun in GENERIC_NOUNS))}
         unread = _UNREAD.difference(*self._phrases) if phrases else frozenset[str]()
-        self._known = trained.union(_GRAMMAR_WORDS, *self._phrases, _REQUEST_WORDS if phrases else ()) - unread
+        others = _REQUEST_WORDS if phrases else untold
+        self._known = trained.union(_GRAMMAR_WORDS, *self._phrases, others) - unread
         self._embedded = trained - unread if phrases else self._known
+        self._untold = frozenset[str]() if phrases else self._known - trained
         self._nearest = NearestStatement(self._phrases, _WORDINGS, LOOSELY)
 
     def read(self, text: str) -> GoalText:
@@ -177,7 +183,8 @@ class Grammar:
         unknown = strange or words_outside(said, self._embedded)
         rivals = _rivals(said) if unknown or not self._phrases else ()
         nearest = self._nearest.find(said, strange)
-        return GoalText(text, rivals, None, unknown, caption(*nearest) if nearest else "")
+        told = " ".join(word for word in said if word not in self._untold) if self._untold.intersection(said) else text
+        return GoalText(told or text, rivals, None, unknown, caption(*nearest) if nearest else "")
 
     @property
     def states_goals(self) -> bool:
@@ -357,7 +364,5 @@ _REQUEST_SIZES = range(max(map(len, _REQUESTS)), 0, -1)
 _REQUEST_WORDS = _split((*REQUESTS, *OPENINGS, *CLAUSES, ARRANGE, *SO_THAT))
 _UNREAD = frozenset((*NEGATIONS, *QUANTITIES))
 _ABSENCE_WORDS = frozenset(("or", MISSING))
-_GRAMMAR_WORDS = _split((POLITE, *ARTICLES, *GENERIC_NOUNS, *VERBS, *COPULAS, *map(" ".join, _WORDINGS))) - {
-    each.split()[0] for each in _NEARBY
-}
+_GRAMMAR_WORDS = _split((POLITE, *ARTICLES, *GENERIC_NOUNS, *VERBS, *COPULAS, *map(" ".join, _WORDINGS))) - NEARBY_WORDS
 _NO_NOUNS = _split((POLITE, *VERBS, *COPULAS, *map(" ".join, _WORDINGS), *REQUESTS, *_UNREAD, "and or but then"))

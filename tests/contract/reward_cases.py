@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,7 @@ class Bright(_MeanPixel):
     """A reward model of one camera: a text that begins with `more` fits bright frames. It fails where told to."""
 
     cameras = ("top",)
+    aspects: ClassVar[dict[str, float]] = {}
     grammar = Grammar((LESS, MORE), ("on", "raise", "nan"))
 
     def embed_images(self, views: Mapping[str, npt.NDArray[np.uint8]]) -> ImageEmbeddings:

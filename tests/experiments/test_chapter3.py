@@ -119,10 +119,6 @@ def test_trials_are_sorted_by_the_demonstration_that_they_follow() -> None:
     np.testing.assert_array_equal(episodes, np.arange(5)[None, :, None].repeat(2, axis=2))
 
 
-def test_the_interval_of_a_median_has_the_ranks_of_a_binomial() -> None:
-    assert resampled.median_interval(np.arange(100.0)) == (40.0, 60.0)
-
-
 @pytest.mark.parametrize(
     ("world", "row"), [(world, row) for world, exploration in WORLDS.items() for row in exploration.rows]
 )

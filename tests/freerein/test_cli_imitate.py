@@ -26,7 +26,7 @@ def addresses(start_module_service: Callable[..., Any]) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def demo(addresses: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of two images, after six and twelve actions of an episode in `blocks`."""
+    """A folder of two images, after five and twelve actions of an episode in `blocks`."""
     folder, rng = tmp_path_factory.mktemp("demo"), np.random.default_rng(0)
     sim = SyncClient(SimClient(Channel(addresses["FREEREIN_SIM_ADDRESS"])))
     session = sim.create_session(CreateSessionRequest("blocks", num_envs=1, seed=int(SEED))).session
@@ -34,8 +34,8 @@ def demo(addresses: dict[str, str], tmp_path_factory: pytest.TempPathFactory) ->
     for step in range(1, 13):
         action = rng.uniform(-1, 1, (1, 3)).astype(np.float32)
         reply = sim.step(StepRequest(session, step, action, cameras=("front",)))
-        if step % 6 == 0:
-            PIL.Image.fromarray(reply.frames["front"][0]).save(folder / f"{step:02}.png")
+        if step in (5, 12):
+            PIL.Image.fromarray(reply.frames["front"][0]).save(folder / f"{step}.png")
     sim.close_session(CloseSessionRequest(session))
     sim.close()
     return folder
@@ -65,8 +65,15 @@ def test_images_are_ticked_off_and_pictures_show_how(
         assert getattr(film, "n_frames", 1) == result["actions"] + 1
 
 
-def test_actions_that_are_used_up_end_it(imitate: Callable[..., Result], demo: Path, tmp_path: Path) -> None:
-    ran = imitate("--task", "blocks", "--demo", demo, "--seed", SEED, "--steps", 2, "--to", tmp_path)
+def test_actions_that_are_used_up_end_it_whatever_the_sizes_of_images(
+    imitate: Callable[..., Result], demo: Path, tmp_path: Path
+) -> None:
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for name, size in (("2.png", (160, 120)), ("10.png", (120, 160))):
+        PIL.Image.open(demo / "5.png").resize(size).save(photos / name)
+    begun = ("--seed", SEED, "--path", "move-red", "--steps", 2)
+    ran = imitate("--task", "blocks", "--demo", photos, "--resize", "fit", *begun, "--to", tmp_path)
     assert ran.exit_code == 0, ran.output
     assert "in 2 actions: 2 actions were executed" in ran.stdout.replace("\n", " ")
 
@@ -75,9 +82,10 @@ def test_what_cannot_be_followed_is_refused(imitate: Callable[..., Result], demo
     for words, said in (
         (("--world", "grid", "--demo", demo), "it sees `front`"),
         (("--world", "blocks", "--demo", demo, "--model", "skills"), "follows a recipe"),
+        (("--world", "blocks", "--demo", demo, "--path", "fly"), "skills among"),
         (("--world", "blocks", "--demo", tmp_path), "a folder of PNG, JPEG or WebP"),
         (("--world", "nowhere", "--demo", demo), "got `nowhere`"),
-        (("--world", "blocks", "--demo", demo, "--demo", demo / "06.png"), "of one length"),
+        (("--world", "blocks", "--demo", demo, "--demo", demo / "5.png"), "of one length"),
     ):
         ran = imitate(*words, "--to", tmp_path)
         assert ran.exit_code == 1

@@ -146,7 +146,7 @@ def test_an_audit_says_precision_and_recall_beside_what_people_say(folder: Path)
     rewarded = [reward > 0 for reward in _json("reward", str(folder / "frames"), "--goal", text)[0]["rewards"]]
     says = [not rewarded[0], *rewarded[1:]]  # one error
     lines = [f"{moment}.png,{text},{'yes' if each else 'no'}" for moment, each in enumerate(says)]
-    table = ["image,text,holds", *lines, "0.png,more crimson on less,no"]
+    table = ["image,text,holds", *lines, "0.png,more crimson on less,no", "0.png,more,no"]
     (folder / "frames" / "audit.csv").write_text("\n".join(table))
 
     found = _json("reward", "--audit", str(folder / "frames"))[0]["audit"]
@@ -155,12 +155,12 @@ def test_an_audit_says_precision_and_recall_beside_what_people_say(folder: Path)
     for name, count, of in (
         ("precision", right, sum(rewarded)),
         ("recall", right, sum(says)),
-        ("false_positives", sum(rewarded) - right, 4 - sum(says)),
-        ("holds", sum(says), 4),
+        ("false_positives", sum(rewarded) - right, 5 - sum(says)),
+        ("holds", sum(says), 5),
     ):
         assert found[name]["of"] == of
         assert found[name]["value"] == (count / of if of else None)
-    assert found["unknown"] == ["crimson"]
+    assert (found["unknown"], found["refused"]) == (["crimson"], ["more"])
     assert "never rewarded" in _run("reward", "--audit", str(folder / "frames")).stdout
 
 

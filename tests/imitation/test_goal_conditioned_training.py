@@ -176,7 +176,7 @@ def test_held_out_frames_have_every_in_distribution_score_alike_and_noise_has_lo
         ("regulariser", "pixels", 0),
     ],
 )
-def test_a_forward_model_is_trained_alone_then_the_policy_then_both(
+def test_the_policy_is_trained_alone_then_a_forward_model_then_both(
     tmp_path: Path, use: Literal["consistency", "regulariser"], target: Literal["features", "pixels"], choices: int
 ) -> None:
     forward = {"forward_use": use, "forward_target": target, "forward_consistency_weight": 1.0}
@@ -195,7 +195,7 @@ def test_a_forward_model_is_trained_alone_then_the_policy_then_both(
 
     state = made.init(torch.Generator().manual_seed(0))
     parts = [{name.partition(".")[0] for name in changed(replace(state, step=step))} for step in range(3)]
-    assert parts == [{"forward_model"}, {"policy", "recognizer"}, {"forward_model", "policy", "recognizer"}]
+    assert parts == [{"policy", "recognizer"}, {"forward_model"}, {"forward_model", "policy", "recognizer"}]
 
     state.network.zero_grad()
     slices = sample_slices(data, [0, 1], np.random.default_rng(0), steps=(5, 10), device=CPU)

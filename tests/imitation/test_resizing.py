@@ -89,8 +89,9 @@ async def test_act_resizes_observation_and_goal_on_request_and_says_so(
 
 async def test_resizing_changes_no_channels(core: Any) -> None:
     request = replace(robots.asked(1, 3), observation=Observation((raw(stripes(6, 6, channels=1)),)), resize="fit")
-    with pytest.raises(InvalidInput, match="height, width and channels"):
+    with pytest.raises(InvalidInput, match="height, width and channels") as error:
         await core.act.act(request)
+    assert error.value.hint.startswith("Send colour")
 
 
 async def test_a_stream_takes_cameras_of_other_sizes_on_request(core: Any) -> None:

@@ -16,13 +16,12 @@ from freerein.clients import Channel, RewardClient, SyncClient
 from freerein.data import Dataset, dataset_path, reached
 from freerein.errors import AlreadyExists, InvalidInput
 from freerein.learning.actor_critic.networks import ActorCriticSpec
-from freerein.learning.actor_critic.policy_files import load_policy, save_policy
+from freerein.learning.actor_critic.policy_files import StoredPolicy, load_policy, save_policy
 from freerein.learning.actor_critic.shared_object_encoder import load_object_encoder
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
 from freerein.types.reward import RewardRequest
 from freerein_orchestrator.envs.episodes import Episode
-from freerein_orchestrator.envs.policies import PolicyHandle, PolicyOutput
 from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.distill.rollouts import relabelled
 from freerein_orchestrator.rl.initial_network import init_network
@@ -193,27 +192,32 @@ def test_rollouts_that_cannot_be_moved_to_their_place_are_not_said_to_have_a_tak
     assert raised.value.errno == errno.ENOTDIR
 
 
-def test_what_a_teacher_would_have_done_is_asked_of_every_frame_from_the_first_on() -> None:
-    """The teacher returns how many frames it has seen of an episode, and what the frame shows."""
+def test_a_teacher_is_asked_of_every_frame_from_the_first_on_and_told_what_was_executed_before() -> None:
+    store = ModelStore(CLONE_MODELS / "reward")
+    folder, camera = store.folder(ModelRef("default", store.active_version("default"))), Camera("front", 64, 64, 3)
+    eye = load_reward_encoder(folder, goal_caption="a red block to the left of a green block", camera=camera).spec
+    size = {"height": 64, "width": 64, "channels": 3, "feature_size": 8, "hidden_size": 8}
+    network = init_network(ActorCriticSpec(**size, action_size=3, recurrent=True, eye=eye), torch.Generator())
+    draws = np.random.default_rng(0)
 
-    class Counting:
-        def __init__(self) -> None:
-            self.seen = 0
+    def episode(length: int) -> Episode:
+        frames = draws.integers(256, size=(length + 1, 64, 64, 3), dtype=np.uint8)
+        actions = draws.uniform(-1, 1, size=(length, 3)).astype(np.float32)
+        nothing = np.zeros(length, np.bool_), np.zeros((length + 1, 0)), np.zeros(0, np.float32)
+        return Episode({"front": frames}, actions, *nothing, success=False, goal_index=None, goal_confidence=None)
 
-        def act(self, frames: Any, episode_starts: Any) -> PolicyOutput:
-            self.seen = 1 if episode_starts.all() else self.seen + 1
-            shown = frames["top"][:, 0, 0, 0]
-            return PolicyOutput(np.stack([np.full(len(shown), self.seen), shown], axis=1).astype(np.float32))
+    @torch.no_grad()
+    def answered(each: Episode) -> Any:
+        frames, actions = torch.from_numpy(each.frames["front"][:-1]), torch.from_numpy(each.actions)
+        last = torch.cat([torch.zeros(1, 3), actions[:-1]])
+        starts = torch.arange(len(actions)) == 0
+        observations = network.observe(frames, last, torch.zeros(len(actions), 0), starts)
+        outputs = network(observations[:, None], starts[:, None], torch.zeros(1, network.spec.recurrent_size))
+        return outputs.actions.mode()[:, 0].clamp(-1, 1)
 
-    def episode(first: int, length: int) -> Episode:
-        frames = np.arange(first, first + length + 1, dtype=np.uint8)[:, None, None, None]
-        nothing = np.zeros((length, 2), np.float32), np.zeros(length, np.bool_), np.zeros((length + 1, 0))
-        return Episode({"top": frames}, *nothing, np.zeros(0, np.float32), False, None, None)
-
-    teacher = PolicyHandle(lambda _session: Counting(), {}, ("top",))
-    short, long = relabelled([episode(10, 2), episode(20, 4)], teacher)
-    assert short.actions.tolist() == [[1, 10], [2, 11]]
-    assert long.actions.tolist() == [[1, 20], [2, 21], [3, 22], [4, 23]]
+    episodes = [episode(2), episode(4)]
+    for each, told in zip(episodes, relabelled(episodes, StoredPolicy(network, {"camera": "front"})), strict=True):
+        torch.testing.assert_close(torch.from_numpy(told.actions), answered(each))
 
 
 @pytest.mark.parametrize(

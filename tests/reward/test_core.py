@@ -31,6 +31,7 @@ class Colours:
 
     def __init__(self, *cameras: str) -> None:
         self.cameras = cameras
+        self.aspects: dict[str, float] = {}
         self.grammar = Grammar(("a red block", "a blue block"), (*COLOURS, "a block on top of apart", "nan", "short"))
         self.frames_per_call: list[int] = []
         self.read: list[str] = []
@@ -153,6 +154,20 @@ async def test_a_goal_text_with_unknown_words_wins_nothing_and_its_similarity_st
     assert answers[0].rewards.tolist() == [0]
     assert answers[1].rewards.tolist() == answers[1].similarities.tolist() == answers[0].similarities.tolist()
     assert answers[1].rewards[0] > 0.9
+    assert [answer.in_distribution.tolist() for answer in answers] == [[0], [0]]
+
+
+async def test_a_frame_of_other_proportions_than_those_of_the_fit_is_refused(start: Start) -> None:
+    model = Colours("front", "left")
+    model.aspects = {"front": 0.75}
+    rewarder, left = await start(model), np.zeros((1, 9, 16, 3), np.uint8)
+    for size, is_right in (((3, 4), True), ((29, 40), True), ((9, 16), False), ((4, 3), False)):
+        request = RewardRequest("red", {"front": np.zeros((1, *size, 3), np.uint8), "left": left}, rivals=("blue",))
+        if is_right:
+            assert len((await rewarder.reward(request)).rewards) == 1
+        else:
+            with pytest.raises(InvalidInput, match=r"0\.75 times as high as it is wide.*got"):
+                await rewarder.reward(request)
 
 
 async def test_a_goal_text_without_relation_needs_rivals_or_the_raw_similarity(start: Start) -> None:

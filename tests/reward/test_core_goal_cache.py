@@ -1,6 +1,7 @@
 """The cache of goal embeddings: bounded whatever is asked, keyed by what decides an embedding."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,7 @@ class Lengths:
     """Embeds texts as their lengths, and counts how many it was asked for."""
 
     cameras = ("top",)
+    aspects: ClassVar[dict[str, float]] = {}
     grammar = Grammar((), ())
 
     def __init__(self) -> None:

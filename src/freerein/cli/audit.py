@@ -76,6 +76,7 @@ class Report:
         false_positives: Of the images that do not show it, the rewarded ones.
         holds: Of all, those that show the text: the precision of a reward that is always given.
         unknown: Words of the texts that the model does not know.
+        refused: Texts that the model cannot be asked, which count as never rewarded.
     """
 
     model: ModelRef
@@ -84,6 +85,7 @@ class Report:
     false_positives: Rate
     holds: Rate
     unknown: tuple[str, ...]
+    refused: tuple[str, ...]
 
 
 def read_answers(folder: Path) -> list[Answer]:
@@ -125,26 +127,41 @@ def audit(answers: Sequence[Answer], model: ModelRef) -> Report:
     """Returns what a reward model says of the images, beside the answers.
 
     Raises:
+        InvalidInput: The reward service refuses all texts.
         ServiceError: The reward service refuses, or cannot be reached.
     """
 
-    async def ask(client: RewardClient) -> tuple[list[bool], ModelRef, list[str]]:
-        rewarded, unknown, used = dict[int, bool](), list[str](), model
-        for text in dict.fromkeys(each.text for each in answers):
+    async def ask(client: RewardClient) -> Report:
+        rewarded, unknown, refused, used = [False] * len(answers), list[str](), dict[str, InvalidInput](), model
+        texts = dict.fromkeys(each.text for each in answers)
+        for text in texts:
             places = [place for place, each in enumerate(answers) if each.text == text]
             for start in range(0, len(places), _IMAGES_PER_REQUEST):
                 some = places[start : start + _IMAGES_PER_REQUEST]
                 request = RewardRequest(text, images=tuple(answers[place].image for place in some), model=model)
-                reply = await client.reward(request)
-                rewarded |= dict(zip(some, (reply.rewards > 0).tolist(), strict=True))
+                try:
+                    reply = await client.reward(request)
+                except InvalidInput as error:
+                    refused[text] = error
+                    break
+                for place, reward in zip(some, reply.rewards.tolist(), strict=True):
+                    rewarded[place] = reward > 0
                 used, unknown = reply.model, [*unknown, *reply.unknown]
-        return [rewarded[place] for place in range(len(answers))], used, unknown
+        if len(refused) == len(texts):
+            raise next(iter(refused.values()))
+        return _report(rewarded, [each.holds for each in answers], used, unknown=unknown, refused=tuple(refused))
 
-    rewarded, used, unknown = call(RewardClient, "reward", ask)
-    return _report(rewarded, [each.holds for each in answers], used, unknown)
+    return call(RewardClient, "reward", ask)
 
 
-def _report(rewarded: Sequence[bool], holds: Sequence[bool], model: ModelRef, unknown: Sequence[str]) -> Report:
+def _report(
+    rewarded: Sequence[bool],
+    holds: Sequence[bool],
+    model: ModelRef,
+    *,
+    unknown: Sequence[str],
+    refused: tuple[str, ...],
+) -> Report:
     pairs = list(zip(rewarded, holds, strict=True))
     right, given, true = sum(a and b for a, b in pairs), sum(rewarded), sum(holds)
     return Report(
@@ -154,6 +171,7 @@ def _report(rewarded: Sequence[bool], holds: Sequence[bool], model: ModelRef, un
         false_positives=Rate.over(given - right, len(pairs) - true),
         holds=Rate.over(true, len(pairs)),
         unknown=tuple(dict.fromkeys(unknown)),
+        refused=refused,
     )
 
 
@@ -173,3 +191,5 @@ def show(report: Report, *, as_json: bool) -> None:
     typer.echo(f"model {report.model.name} {report.model.version}")
     if report.unknown:
         typer.echo(f"The model does not know {', '.join(report.unknown)}: texts with these words are never rewarded.")
+    for text in report.refused:
+        typer.echo(f"The model cannot be asked {quoted(text)}: it counts as never rewarded.")

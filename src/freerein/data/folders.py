@@ -12,6 +12,7 @@ import numpy.typing as npt
 from freerein import images
 from freerein.data.action_table import read_actions
 from freerein.data.annotations import read_tags
+from freerein.data.image_names import natural
 from freerein.data.importing import Recorded, Source
 from freerein.data.layout import DatasetSpec
 from freerein.data.recordings import (
@@ -23,7 +24,6 @@ from freerein.data.recordings import (
     find_recordings,
     is_image,
     is_of_system,
-    natural,
     system_files,
 )
 from freerein.data.videos import BOUNDS, are_stretched, joined, stretch_notes

@@ -43,6 +43,12 @@ def in_order(files: Sequence[Path]) -> tuple[Path, ...]:
     return ordered
 
 
+def natural(path: Path) -> list[tuple[Decimal, str]]:
+    """Returns a key that orders paths by the value of the whole numbers in them: `2.png` before `10.png`."""
+    parts = re.findall(r"\d+|\D+", path.as_posix())
+    return [(Decimal(part), "") if part[0].isdecimal() else (Decimal(-1), part) for part in parts]
+
+
 def _check_one_camera(files: Sequence[Path]) -> None:
     cameras = {found[1]: each for each in files if (found := _CAMERA.search(each.stem))}
     if len(cameras) > 1:

@@ -19,7 +19,8 @@ _LABELS = "labels"
 def export_lerobot(root: Path, folder: Path) -> int:
     """Writes a dataset to a folder that LeRobot opens, and freerein imports.
 
-    Ground truth of the worlds, labels that people gave, and what can be made again are left out.
+    Ground truth of the worlds, labels that people gave, what teachers see and their reward model judged, and what can
+    be made again are left out.
 
     Args:
         root: The dataset's folder.

@@ -15,10 +15,9 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from decimal import Decimal
 from pathlib import Path
 
-from freerein.data.image_names import in_order
+from freerein.data.image_names import in_order, natural
 from freerein.errors import InvalidInput, NotFound
 
 CAMERA = "camera"
@@ -122,12 +121,6 @@ def is_of_system(name: str) -> bool:
 def is_image(path: Path) -> bool:
     """Returns whether a file is named like an image."""
     return path.suffix.lower() in _IMAGES
-
-
-def natural(path: Path) -> list[tuple[Decimal, str]]:
-    """Returns a key that orders paths by the value of the whole numbers in them: `2.png` before `10.png`."""
-    parts = re.findall(r"\d+|\D+", path.as_posix())
-    return [(Decimal(part), "") if part[0].isdecimal() else (Decimal(-1), part) for part in parts]
 
 
 def _entries(folder: Path) -> list[Path]:

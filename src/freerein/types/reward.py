@@ -47,7 +47,7 @@ class RewardResponse:
             model's training.
         truncated: Whether any text was too long for the model and was truncated.
         in_distribution: float32 (N,) in [0, 1], how much each answer is like those on held-out data; see
-            `freerein.learning.in_distribution`. Empty for a grounding model.
+            `freerein.learning.in_distribution`; 0 where `unknown` is not empty. Empty for a grounding model.
         unknown: Words of the goal text that the model does not know, distinct and in order; at most 16 of at most 32
             characters each, longer ones cut.
         did_you_mean: Where the goal text is no statement, the nearest one, which was not taken for it; empty where none
@@ -130,7 +130,7 @@ class FrameReward:
         reward: In the mode of the Hello.
         similarity: Of frame and goal text, in [-1, 1].
         winner: Index in `texts` of `RewardStreamOpened`.
-        in_distribution: In [0, 1]; None for a grounding model.
+        in_distribution: In [0, 1], 0 where the goal text has unknown words; None for a grounding model.
     """
 
     reward: float

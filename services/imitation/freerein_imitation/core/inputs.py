@@ -198,13 +198,15 @@ def _decode(camera: Camera, image: Image, field: str, resizer: Resizer) -> npt.N
         pixels = resizer.resized(images.decode(image, field=field), camera)
         if pixels.shape == expected:
             return pixels
-        got = f"{pixels.shape}"
+        got, is_of_size = f"{pixels.shape}", pixels.shape[:2] == expected[:2]
     else:
-        got = "another size"
+        got, is_of_size = "another size", False
     raise InvalidInput(
         f"`{field}` must have height, width and channels {expected}, as in training; got {got}.",
         field=field,
-        hint="Scale it, ask for `resize`, or name another model.",
+        hint="Send colour where training had colour, and gray where it had gray."
+        if is_of_size
+        else "Scale it, ask for `resize`, or name another model.",
     )
 
 

@@ -214,6 +214,9 @@ class ServedPolicy:
     """Calls the imitation service once per environment, concurrently, so that it batches the calls.
 
     An environment whose goals are all over holds: its last answer stays.
+
+    Attributes:
+        hold: The action that holds, (1, A).
     """
 
     def __init__(
@@ -221,7 +224,7 @@ class ServedPolicy:
     ) -> None:
         self._imitation = imitation
         self._first_requests = list(requests)
-        self._hold = hold
+        self.hold = hold
         self._pool = pool
         self._requests = list(requests)
         self._replies: list[ActResponse | None] = [None] * len(requests)
@@ -232,7 +235,7 @@ class ServedPolicy:
             self._requests[env], self._replies[env] = self._first_requests[env], None
         observed = [{camera: frame[env] for camera, frame in frames.items()} for env in range(len(self._requests))]
         replies = list(self._pool.map(self._answer, self._requests, self._replies, observed))
-        actions = [reply.actions[:1] if len(reply.actions) else self._hold for reply in replies]
+        actions = [reply.actions[:1] if len(reply.actions) else self.hold for reply in replies]
         self._replies = list(replies)
         self._requests = [
             replace(request, state=reply.state, executed_actions=executed)

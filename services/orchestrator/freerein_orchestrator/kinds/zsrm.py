@@ -10,7 +10,7 @@ them, and a policy is trained by PPO on that reward alone. The policy is publish
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -24,11 +24,13 @@ from freerein.learning.actor_critic.policy_files import IN_DISTRIBUTION_FILE, NA
 from freerein.types.common import check_name
 from freerein.types.imitation import PublishPolicyRequest
 from freerein.types.sim import Task
+from freerein_orchestrator.kinds import ppo
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.evaluate.record import RESULT
 from freerein_orchestrator.kinds.fit import check_steps
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.pipeline import Pipeline, make_step
+from freerein_orchestrator.kinds.policy_store import PolicyStore
 from freerein_orchestrator.kinds.ppo_config import PPORunConfig
 
 _SCENES = ".scatter"
@@ -141,8 +143,14 @@ def zsrm_kind(pipeline: Kind[Pipeline]) -> Kind[ZsrmRunConfig]:
     def steps(config: ZsrmRunConfig) -> int:
         return config.count + int(config.fit["steps"]) + config.training(config.text).iterations
 
+    def check(config: ZsrmRunConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+        ppo.check(config.training(config.text), store, earlier)
+
+    def truth(config: Mapping[str, Any], store: PolicyStore) -> str:
+        return ppo.truth(config["policy"], store)
+
     meaning = "Goes from a goal in words to a policy, by a zero-shot reward model."
-    return Kind({"": ZsrmRunConfig}, named, steps=steps, run=run, meaning=meaning)
+    return Kind({"": ZsrmRunConfig}, named, steps=steps, run=run, check=check, truth=truth, meaning=meaning)
 
 
 def _scenes_of(context: RunContext, task: Task) -> str:

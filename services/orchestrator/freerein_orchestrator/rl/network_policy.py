@@ -25,12 +25,16 @@ class NetworkPolicy:
         self._memory: _Memory | None = None
 
     @torch.no_grad()
-    def act(self, frames: Observations, episode_starts: npt.NDArray[np.bool_]) -> Actions:
+    def act(
+        self, frames: Observations, episode_starts: npt.NDArray[np.bool_], *, executed: Actions | None = None
+    ) -> Actions:
         """Returns an action per environment.
 
         Args:
             frames: uint8 (N, H, W, C), those of several cameras side by side on the channels.
             episode_starts: bool (N,); the recurrent state is reset there.
+            executed: Actions (N, A) that another policy took before these frames, not read where an episode starts;
+                None where this policy's own were executed.
 
         Raises:
             InvalidInput: The frames are not what the network takes.
@@ -38,17 +42,17 @@ class NetworkPolicy:
         spec, starts = self._network.spec, torch.from_numpy(episode_starts)
         observations = observation_tensor(frames, spec, len(starts))
         memory = _Memory.init(spec, len(starts)) if self._memory is None else self._memory.reset(starts)
+        last = executed_actions(memory.actions) if executed is None else torch.from_numpy(executed) * ~starts[:, None]
         due = memory.held == 0
         if due.any():
-            self._choose(observations[due], starts[due], memory, due)
+            self._choose(observations[due], last[due], starts[due], memory, due)
         self._memory = replace(memory, held=(memory.held + 1) % spec.action_repeat)
         return env_actions(memory.actions)
 
-    def _choose(self, frames: Tensor, starts: Tensor, memory: "_Memory", due: Tensor) -> None:
+    def _choose(self, frames: Tensor, last: Tensor, starts: Tensor, memory: "_Memory", due: Tensor) -> None:
         """Sets new actions, recurrent states and earlier frames of the environments that are `due`."""
         device = next(self._network.parameters()).device
-        last, earlier = executed_actions(memory.actions[due]), memory.earlier_frames[due]
-        observations = self._network.observe(frames, last, earlier, starts)
+        observations = self._network.observe(frames, last, memory.earlier_frames[due], starts)
         state = memory.recurrent_state[due].to(device)
         outputs = self._network(observations[None].to(device), starts[None].to(device), state)
         actions = outputs.actions.mode() if self._generator is None else outputs.actions.sample(self._generator)

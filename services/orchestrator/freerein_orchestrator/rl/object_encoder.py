@@ -10,6 +10,7 @@ from torch import Tensor
 
 from freerein.config import parse
 from freerein.errors import InvalidInput
+from freerein.goal_text import Grammar
 from freerein.learning import model_files, tensor_files
 from freerein.learning.actor_critic.body import Exploration
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
@@ -138,13 +139,12 @@ def explore(spec: ActorCriticSpec, envs: VecEnv, generator: torch.Generator, *, 
 
 
 def _pair(phrases: Sequence[str], caption: str) -> tuple[int, int]:
-    """Returns the numbers of the two phrases that a caption names, in its order."""
-    named = sorted((caption.index(phrase), number) for number, phrase in enumerate(phrases) if phrase in caption)
-    if len(named) != 2:
+    """Returns the numbers of the two phrases that a caption relates, in its order."""
+    related = Grammar(phrases, phrases).read(caption).statement
+    if related is None:
         raise InvalidInput(
-            f"The goal text must name two objects that the reward model knows; it names {len(named)}.",
+            "The goal text must relate two objects that the reward model knows; it does not.",
             field="config.goal_text",
             hint="Relate two of its noun phrases, or choose the encoder `spatial`.",
         )
-    (_, first), (_, second) = named
-    return first, second
+    return phrases.index(related.first), phrases.index(related.second)

@@ -11,9 +11,13 @@ from freerein.goal_text import words
 from freerein.learning.trajectories import TrajectoryArrays
 from freerein.types.common import Image
 from freerein.types.reward import RewardRequest
+from freerein_reward.core.models import RewardModel
 
 MAX_FRAMES = 20_000
 MAX_HEATMAP_PIXELS = 12_000_000  # 64 MiB, the largest message, as FP32 in base64
+
+_MOST_STRETCHED = 0.04
+"""Difference of proportions that is none: of small frames, that of a pixel."""
 
 Pixels = npt.NDArray[np.uint8]
 Preprocess = Callable[[Pixels], Pixels]
@@ -101,15 +105,38 @@ class EncodedFrames:
         return images.decode(self._encoded[index], field=f"images.{index}")
 
 
-def model_inputs(frames: FrameSequence, preprocess: Preprocess, *, start: int, stop: int) -> Pixels:
-    """Returns the model's inputs, uint8 (N, H, W, 3), of the frames in [start, stop); raises as `images.decode`."""
-    return np.stack([preprocess(frames[index]) for index in range(start, stop)])
+def _check_aspect(frame: Pixels, model: RewardModel, camera: str) -> None:
+    """Raises InvalidInput where a frame, (h, w, C), of a model's camera has other proportions than those of its fit."""
+    height, width = frame.shape[:2]
+    expected = model.aspects.get(camera, height / width)
+    if abs(height / width / expected - 1) > _MOST_STRETCHED:
+        raise InvalidInput(
+            f"A frame must be {expected:.3g} times as high as it is wide, as in training, or relations would be those "
+            f"of a stretched one; got {height} x {width} pixels (height x width).",
+            field="frames",
+            hint="Crop it, or fit a model to such frames.",
+        )
+
+
+def model_inputs(frames: FrameSequence, model: RewardModel, camera: str, *, start: int, stop: int) -> Pixels:
+    """Returns the model's inputs, uint8 (N, H, W, 3), of a camera's frames in [start, stop).
+
+    Raises:
+        InvalidInput: A frame has other proportions than those of the fit; otherwise as `images.decode`.
+    """
+    return np.stack([model_input(frames[index], model, camera) for index in range(start, stop)])
+
+
+def model_input(frame: Pixels, model: RewardModel, camera: str) -> Pixels:
+    """Returns the model's input of a frame; raises as `model_inputs`."""
+    _check_aspect(frame, model, camera)
+    return model.preprocess(frame)
 
 
 def shaped_inputs(
     frames: FrameSequence, preprocess: Preprocess, *, start: int, stop: int
 ) -> tuple[Pixels, npt.NDArray[np.float64]]:
-    """Returns `model_inputs`, and the height of each frame over its width, float64 (N,)."""
+    """Returns inputs of a grounding model, and the height of each frame over its width, float64 (N,)."""
     pixels, aspects = [], []
     for index in range(start, stop):
         frame = frames[index]

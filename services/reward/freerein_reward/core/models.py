@@ -18,10 +18,12 @@ class RewardModel(Protocol):
 
     Attributes:
         cameras: Cameras that it expects; one empty name for any image.
+        aspects: Height over width of the frames of the fit, by camera; a camera that is not there may have any.
         grammar: Reads goal texts.
     """
 
     cameras: tuple[str, ...]
+    aspects: Mapping[str, float]
     grammar: Grammar
 
     def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

@@ -71,7 +71,7 @@ class RewardCore:
             winners=winners,
             texts=texts,
             truncated=any(text.truncated for text in parts[0].goals),
-            in_distribution=np.concatenate([part.in_distribution for part in parts]),
+            in_distribution=np.concatenate([part.in_distribution for part in parts]) * (not goal.unknown),
             unknown=goal.unknown,
             model=ref,
             timing=timer.timing(),
@@ -152,7 +152,7 @@ def _views(
     frames: Mapping[str, FrameSequence], model: RewardModel, start: int, stop: int
 ) -> dict[str, npt.NDArray[np.uint8]]:
     return {
-        camera: model_inputs(sequence, model.preprocess, start=start, stop=stop) for camera, sequence in frames.items()
+        camera: model_inputs(sequence, model, camera, start=start, stop=stop) for camera, sequence in frames.items()
     }
 
 

@@ -24,7 +24,7 @@ from freerein.types.reward import (
     RewardStreamResponse,
 )
 from freerein_reward.core.inference import InferenceBatcher, ScoreItem, Scores
-from freerein_reward.core.inputs import Pixels, request_frames
+from freerein_reward.core.inputs import Pixels, model_input, request_frames
 from freerein_reward.core.models import RewardModel
 from freerein_reward.core.reward_core import RewardCore, judge, read_texts
 
@@ -137,7 +137,7 @@ class _Session:
             float(scores.similarities[0, 0]),
             int(winners[0]),
             timer.timing(),
-            float(scores.in_distribution[0]) if len(scores.in_distribution) else None,
+            float(scores.in_distribution[0]) * (not self._goal.unknown) if len(scores.in_distribution) else None,
         )
 
     def _views(self, frame: RewardFrame) -> Mapping[str, Pixels]:
@@ -154,7 +154,7 @@ class _Session:
                     field="frames" if frame.frames else "images",
                     hint="Send what the camera first sent, or open another stream.",
                 )
-        views = {camera: self._model.preprocess(pixels)[None] for camera, pixels in moment.items()}
+        views = {camera: model_input(pixels, self._model, camera)[None] for camera, pixels in moment.items()}
         self._sizes = kept
         return views
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import PIL.Image
 import torch
 
-from freerein.goal_text import Grammar
+from freerein.goal_text import NEARBY_WORDS, Grammar
 from freerein_reward.model.dual_encoder import DualEncoder, channels_last
 
 _IMAGES_AT_ONCE = 16
@@ -34,7 +34,10 @@ class DualEncoderModel:
     def __init__(self, network: DualEncoder) -> None:
         self.network = channels_last(network.eval())
         self.cameras = network.spec.cameras
-        self.grammar = Grammar(network.spec.phrases, network.spec.vocabulary)
+        self.aspects: Mapping[str, float] = dict(
+            zip(self.cameras, network.spec.aspects, strict=False)
+        )  # without aspects, any frames
+        self.grammar = Grammar(network.spec.phrases, network.spec.vocabulary, untold=NEARBY_WORDS)
 
     def preprocess(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Returns an image uint8 (h, w, 1 or 3), of any size, as the network's input, uint8 (H, W, 3)."""

@@ -23,10 +23,12 @@ class DualEncoderSpec:
         text_depth: Layers of the text encoder.
         embedding_dim: Dimension of the embeddings; with phrases, of each pair's.
         presence_heat: Grad-CAM peak at which an object is present with probability 1/2; of a grounding model.
+        aspects: Height over width of each camera's frames in the fit; empty for any, as of models of before.
         scores_colours: Whether the in-distribution score sees colourfulness, too; not in models of before.
 
     Raises:
-        InvalidInput: There are no cameras or no words, or a size is not a multiple.
+        InvalidInput: There are no cameras or no words, a size is not a multiple, or an aspect is missing or is not
+            positive.
     """
 
     cameras: tuple[str, ...]
@@ -40,6 +42,7 @@ class DualEncoderSpec:
     text_depth: int = bounded(2, least=1, most=12)
     embedding_dim: int = bounded(64, least=4, most=1024)
     presence_heat: float = bounded(1.0, least=1e-6, most=1e6)
+    aspects: tuple[float, ...] = ()
     scores_colours: bool = False
 
     def __post_init__(self) -> None:
@@ -50,6 +53,12 @@ class DualEncoderSpec:
                 f"and a `text_width` of 16; got {len(self.cameras)} cameras, {len(self.vocabulary)} words, "
                 f"{self.image_size}, {self.width} and {self.text_width}.",
                 hint="Leave sizes out for the defaults.",
+            )
+        if self.aspects and (len(self.aspects) != len(self.cameras) or min(self.aspects) <= 0):
+            raise InvalidInput(
+                f"`aspects` must be positive numbers, one for each of {len(self.cameras)} cameras; got "
+                f"{len(self.aspects)}.",
+                hint="Fit the model again, or restore its folder from a copy.",
             )
 
     @property

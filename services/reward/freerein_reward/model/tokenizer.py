@@ -13,7 +13,7 @@ MAX_TOKENS = 77
 """Longest token sequence, end-of-text token included, as in CLIP."""
 
 END, UNKNOWN = 1, 2
-"""Tokens of a text's end, and of every word that is not in the vocabulary, which no reward is given for."""
+"""Tokens of a text's end, and of every word that is not in the vocabulary. No training text has one."""
 
 _FIRST_WORD = 3
 

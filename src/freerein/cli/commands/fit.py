@@ -125,7 +125,8 @@ def reward(
 def _imported(source: Source, name: str, *, replaces: bool, as_json: bool) -> Iterator[None]:
     """Imports trajectories as a dataset; undoes that where the fit is refused, unless it is queued."""
     with imported_with_progress(source, name, replaces=replaces, is_shown=not as_json):
-        typer.echo("".join(f"{note}\n" for note in source.notes if not as_json), nl=False)
+        lines = [f"Imported as {name}: {source.contents}.", *source.notes] if source.contents else source.notes
+        typer.echo("".join(f"{line}\n" for line in lines if not as_json), nl=False)
         yield
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from freerein import images
+from freerein.data.image_names import natural
 from freerein.errors import NotFound
 from freerein.types.common import Image
 
@@ -15,6 +16,9 @@ _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 
 def read_images(named: Sequence[str]) -> tuple[Image, ...]:
     """Returns the images in files or folders, each named as `FILES` describes; a folder's in the order of their names.
+
+    `2.png` comes before `10.png`.
+
 
     Raises NotFound where there is no image, UnsupportedMedia where a file is not PNG, JPEG or WebP.
     """
@@ -28,7 +32,7 @@ def _files(text: str) -> list[tuple[str, Path]]:
     path = Path(rest)
     if path.is_file():
         return [(camera, path)]
-    found = sorted(file for file in path.glob("*") if file.suffix.lower() in _SUFFIXES)
+    found = sorted((file for file in path.glob("*") if file.suffix.lower() in _SUFFIXES), key=natural)
     if not found:
         raise NotFound(
             "An image must be a file, or a folder of PNG, JPEG or WebP files; got neither.",

@@ -11,7 +11,7 @@ from freerein.atomic_files import write_atomic
 from freerein.cli.commands.image_files import read_images
 from freerein.cli.connection import connect
 from freerein.cli.imitation.follow import Demonstration, Followed, Landmark, follow
-from freerein.cli.imitation.pictures import animation, filmstrip
+from freerein.cli.imitation.pictures import animation, filmstrip, fitted
 from freerein.cli.output import AsJson, command, print_json, progress_bar
 from freerein.clients import ImitationClient, SimClient
 from freerein.errors import must_be
@@ -38,6 +38,7 @@ def imitate(
         int, typer.Option(min=0, help="Actions until an image is abandoned; 0: the model's.")
     ] = 0,
     condition: Annotated[list[str] | None, typer.Option(help="Condition of the task; repeatable.")] = None,
+    path: Annotated[str, typer.Option(help="Skill of the task whose demonstrations begin as the robot is to.")] = "",
     resize: Annotated[Resize | None, typer.Option(help="Make images of other sizes fit: whole, or the middle.")] = None,
     to: Annotated[Path, typer.Option(metavar="DIR", help="Folder for a filmstrip and an animation.")] = Path(),
     as_json: AsJson = False,
@@ -45,10 +46,10 @@ def imitate(
     """Have a policy follow a demonstration, a folder of images, in a simulated task."""
     goals = _in_order([read_images([each]) for each in demo])
     reference = ModelRef(model, version)
-    asked = Demonstration(task, goals, reference, seed, steps, steps_per_goal, tuple(condition or ()), resize)
+    asked = Demonstration(task, goals, reference, seed, steps, steps_per_goal, tuple(condition or ()), path, resize)
     followed = asyncio.run(_follow(asked, as_json=as_json))
-    camera = next(iter(followed.seen[0].frames))
-    shown = [images.decode(goal) for goal in goals if goal.camera in ("", camera)]
+    camera, frame = next(iter(followed.seen[0].frames.items()))
+    shown = [fitted(images.decode(goal), frame) for goal in goals if goal.camera in ("", camera)]
     to.mkdir(parents=True, exist_ok=True)
     write_atomic(to / _FILMSTRIP, filmstrip(followed, shown, camera))
     write_atomic(to / _ANIMATION, animation(followed, shown, camera))

@@ -17,6 +17,7 @@ from freerein.types.sim import (
     CloseSessionRequest,
     CreateSessionRequest,
     ListTasksRequest,
+    Recipe,
     ResetRequest,
     StepRequest,
     Task,
@@ -38,6 +39,7 @@ class Demonstration:
         steps: Most actions; 0 for as many as an episode of the task has.
         steps_per_goal: Actions after which a landmark is abandoned; 0 for the model's own limit.
         conditions: Conditions of the task.
+        path: Skill of the task, where the robot begins as its demonstrations do; empty for anywhere.
         resize: How goal images of another size than the model's are made to fit; None to refuse them.
     """
 
@@ -48,6 +50,7 @@ class Demonstration:
     steps: int = 0
     steps_per_goal: int = 0
     conditions: tuple[str, ...] = ()
+    path: str = ""
     resize: Resize | None = None
 
 
@@ -113,7 +116,8 @@ async def follow(sim: SimClient, imitation: ImitationClient, asked: Demonstratio
     _check_cameras(spec, select_task(await sim.list_tasks(ListTasksRequest()), asked.task))
     followed, state, executed = Followed(len(asked.goals) // len(cameras)), b"", None
     async with _session(sim, asked, spec) as (session, most):
-        begun = await sim.reset(ResetRequest(session, cameras=cameras))
+        recipes = (Recipe((asked.path,)),) if asked.path else ()
+        begun = await sim.reset(ResetRequest(session, cameras=cameras, recipes=recipes))
         frames: Frames = {name: each[0] for name, each in begun.frames.items()}
         for step in range(1, most + 2):
             request = ActRequest(
@@ -127,9 +131,8 @@ async def follow(sim: SimClient, imitation: ImitationClient, asked: Demonstratio
             )
             answer = await imitation.act(request)
             followed.add(frames, answer, threshold=spec.reached_threshold)
-            is_over = answer.done == "yes" or not len(answer.actions)
-            if is_over or step > most:
-                followed.ending = "all landmarks are over" if is_over else f"{most} actions were executed"
+            if not len(answer.actions) or step > most:
+                followed.ending = f"{most} actions were executed" if len(answer.actions) else "all landmarks are over"
                 yield followed
                 return
             yield followed

@@ -17,16 +17,25 @@ _LEAST_PIXELS, _EDGE, _GAP, _COLUMNS = 96, 3, 4, 10
 _FRAME_MS, _MOST_FRAMES = 100, 300
 
 
+def fitted(pixels: Pixels, like: Pixels) -> Pixels:
+    """Returns an image as high and wide as another."""
+    if pixels.shape[:2] == like.shape[:2]:
+        return pixels
+    resized = PIL.Image.fromarray(pixels.squeeze()).resize((like.shape[1], like.shape[0]), PIL.Image.Resampling.BOX)
+    return np.asarray(resized).reshape(*like.shape[:2], -1)
+
+
 def filmstrip(followed: Followed, goals: Sequence[Pixels], camera: str) -> bytes:
     """Returns a PNG: each landmark, and below it what the robot saw when it was over, framed.
 
-    Green: the policy said that it was reached; red: abandoned; gray: not over.
+    Goals are as high and wide as the robot's frames. Green: the policy said that it was reached; red: abandoned; gray:
+    not over.
     """
     tiles = []
     for index, goal in enumerate(goals):
         over = followed.landmarks[index] if index < len(followed.landmarks) else None
         seen = followed.seen[over.step].frames[camera] if over else np.full_like(goal, 255)
-        tiles.append(np.concatenate([_framed(goal, _GROUND), _framed(_fitted(seen, goal), _colour(followed, index))]))
+        tiles.append(np.concatenate([_framed(goal, _GROUND), _framed(seen, _colour(followed, index))]))
     rows = [tiles[first : first + _COLUMNS] for first in range(0, len(tiles), _COLUMNS)]
     blank = np.full_like(tiles[0], 255)
     strips = [np.concatenate([*row, *[blank] * (min(_COLUMNS, len(tiles)) - len(row))], axis=1) for row in rows]
@@ -39,8 +48,7 @@ def animation(followed: Followed, goals: Sequence[Pixels], camera: str) -> bytes
     frames = []
     for step in range(0, len(followed.seen), every):
         over = sum(landmark.step <= step for landmark in followed.landmarks)
-        goal = goals[min(over, len(goals) - 1)]
-        seen = _fitted(followed.seen[step].frames[camera], goal)
+        goal, seen = goals[min(over, len(goals) - 1)], followed.seen[step].frames[camera]
         pair = np.concatenate([_framed(goal, _GROUND), _framed(seen, _GROUND)], axis=1)
         marks = _marks(followed, over, width=pair.shape[1])
         frames.append(PIL.Image.fromarray(np.concatenate([pair, marks])))
@@ -72,14 +80,6 @@ def _framed(pixels: Pixels, edge: tuple[int, int, int]) -> Pixels:
     inner[:] = edge
     inner[_EDGE:-_EDGE, _EDGE:-_EDGE] = coloured
     return np.pad(inner, ((_GAP, _GAP), (_GAP, _GAP), (0, 0)), constant_values=255)
-
-
-def _fitted(pixels: Pixels, like: Pixels) -> Pixels:
-    """Returns an image as high and wide as another."""
-    if pixels.shape[:2] == like.shape[:2]:
-        return pixels
-    resized = PIL.Image.fromarray(pixels.squeeze()).resize((like.shape[1], like.shape[0]), PIL.Image.Resampling.BOX)
-    return np.asarray(resized).reshape(*like.shape[:2], -1)
 
 
 def _encoded(image: PIL.Image.Image, form: str) -> bytes:

@@ -18,8 +18,8 @@ class GoalConditionedConfig(GoalImagesConfig):
         forward_use: What the forward model is for: `consistency` of predicted actions with executed ones, or a
             `regulariser` of the image features, which predict what executed actions lead to.
         forward_target: What it predicts: the next `features`, eq. 3.4, or the next `pixels`, eq. 3.3, of a small image.
-        forward_pretraining_steps: First optimiser steps, of the forward model alone.
-        policy_pretraining_steps: Next optimiser steps, of the policy alone.
+        policy_pretraining_steps: First optimiser steps, of the policy alone.
+        forward_pretraining_steps: Next optimiser steps, of the forward model alone, whose features are the policy's.
         use_previous_action: Whether the policy takes the previous action as input, as in the dissertation.
         recurrent: Whether the policy has a recurrent layer; without, a goal is abandoned after twice `far_steps`.
         stop: Whether the policy tells by an action of its own that the goal is reached, in place of a goal recognizer.
@@ -32,15 +32,15 @@ class GoalConditionedConfig(GoalImagesConfig):
     forward_consistency_weight: float = bounded(0.0, least=0.0, most=100.0)
     forward_use: Literal["consistency", "regulariser"] = "consistency"
     forward_target: Literal["features", "pixels"] = "features"
-    forward_pretraining_steps: int = bounded(0, least=0, most=10_000_000)
     policy_pretraining_steps: int = bounded(0, least=0, most=10_000_000)
+    forward_pretraining_steps: int = bounded(0, least=0, most=10_000_000)
     use_previous_action: bool = True
     recurrent: bool = True
     stop: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keys = ("forward_use", "forward_target", "forward_pretraining_steps", "policy_pretraining_steps")
+        keys = ("forward_use", "forward_target", "policy_pretraining_steps", "forward_pretraining_steps")
         given = [key for key in keys if getattr(self, key) != getattr(GoalConditionedConfig, key)]
         if given and not self.forward_consistency_weight:
             raise InvalidInput(

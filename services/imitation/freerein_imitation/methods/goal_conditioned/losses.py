@@ -3,8 +3,8 @@
 By default the policy is trained alone, by eq. 3.2. With a forward model, a fit has up to three stages, because jointly
 from scratch the policy would follow a model that knows nothing yet:
 
-1. forward: the forward model alone, on executed actions;
-2. policy: the policy alone;
+1. policy: the policy alone, with its image features;
+2. forward: the forward model alone, on these features and executed actions;
 3. joint: both, by eq. 3.4, or with `forward_target=pixels` by eq. 3.3.
 """
 
@@ -45,11 +45,11 @@ class GoalConditionedLearner(GoalImagesLearner[GoalConditionedNetwork]):
         return GoalConditionedNetwork(self.spec)
 
     def stages(self) -> tuple[Stage[GoalConditionedNetwork], ...]:
-        """Returns the stages of the forward model, of the policy, and of both."""
+        """Returns the stages of the policy, of the forward model, and of both."""
         forward, policy = self.config.forward_pretraining_steps, self.config.policy_pretraining_steps
         return (
-            Stage("forward", forward, self._forward_loss),
             Stage("policy", policy, self._policy_loss),
+            Stage("forward", forward, self._forward_loss),
             Stage("joint", self.config.steps - forward - policy, self.loss),
         )
 

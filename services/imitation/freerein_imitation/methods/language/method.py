@@ -106,7 +106,10 @@ def _card(source: FitDataset, learner: LanguageLearner, fitted: FitResult[Langua
 
 
 def _reached(learner: LanguageLearner, network: LanguageNetwork) -> tuple[float, dict[str, float]]:
-    """Returns the probability from which on a goal counts as reached, and what is known of it on held-out frames."""
+    """Returns the probability from which on a goal counts as reached, and what is known of it on held-out frames.
+
+    They are the frames that it was chosen on: figures on others are lower.
+    """
     if network.recognizer is None:
         return NEVER_REACHED, {}
     logits, shown = learner.held_out_reached(network)

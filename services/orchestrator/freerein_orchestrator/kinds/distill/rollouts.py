@@ -31,11 +31,13 @@ from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.types.common import Camera, Goal, ModelRef, Trajectory
 from freerein.types.sim import CreateSessionRequest, Task
 from freerein_orchestrator.envs.episodes import Episode, derive_seed, run_episodes
-from freerein_orchestrator.envs.policies import PolicyHandle, PolicySession, served_policy, stored_policy
+from freerein_orchestrator.envs.policies import PolicyHandle, served_policy, stored_policy
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, common_action
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.observed_cameras import ObservedCameras
 from freerein_orchestrator.rewards.learned import LearnedReward
+from freerein_orchestrator.rl.network_policy import NetworkPolicy
+from freerein_orchestrator.rl.vec_env import join_cameras
 
 ROLLOUTS = "rollouts"
 Keep = Literal["all", "rewarded"]
@@ -181,7 +183,7 @@ class _Recording:
         with ExitStack() as closing:
             student = served_policy(self._imitation, self._students[-1], self._tasks[each.teacher], closing=closing)
             episodes = self._run(request, student, goals=[goal] * each.count)
-        return relabelled(episodes, teacher)
+        return relabelled(episodes, self._policies[each.teacher])
 
     def _run(
         self, request: CreateSessionRequest, policy: PolicyHandle, *, goals: Sequence[Goal] = ()
@@ -242,24 +244,23 @@ def _rewarded(policy: StoredPolicy) -> tuple[Camera, ...]:
     return ObservedCameras.of_inputs(policy.card, policy.network.spec).reward
 
 
-def relabelled(episodes: Sequence[Episode], teacher: PolicyHandle) -> Sequence[Episode]:
+def relabelled(episodes: Sequence[Episode], teacher: StoredPolicy) -> Sequence[Episode]:
     """Returns episodes with the actions that a teacher would have taken at their frames, instead of the executed ones.
 
     Args:
-        episodes: Of one task; their frames are what the teacher sees.
-        teacher: Any policy without goals; it sees each episode from its first frame on.
+        episodes: Of one task; their frames are what the teacher sees, from the first on, and what was executed before a
+            frame is its last action.
+        teacher: Takes the most likely actions.
     """
-    acting, count = teacher.start(PolicySession("", 0)), len(episodes)
+    acting, count = NetworkPolicy(teacher.network), len(episodes)
     lengths = [len(each.actions) for each in episodes]
     steps = []
     for t in range(max(lengths)):
-        frames = {
-            camera: np.stack(
-                [each.frames[camera][min(t, length)] for each, length in zip(episodes, lengths, strict=True)]
-            )
-            for camera in teacher.cameras
-        }
-        steps.append(acting.act(frames, np.full(count, t == 0)).actions)
+        seen = [(each, min(t, length - 1)) for each, length in zip(episodes, lengths, strict=True)]
+        frames = {camera: np.stack([each.frames[camera][at] for each, at in seen]) for camera in teacher.cameras}
+        executed = np.stack([each.actions[at - 1] for each, at in seen])
+        starts = np.full(count, t == 0)
+        steps.append(acting.act(join_cameras(frames, teacher.cameras), starts, executed=executed))
     return [
         replace(each, actions=np.stack([step[env] for step in steps[:length]]))
         for env, (each, length) in enumerate(zip(episodes, lengths, strict=True))

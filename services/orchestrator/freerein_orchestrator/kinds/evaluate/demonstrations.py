@@ -20,7 +20,7 @@ from freerein.errors import InvalidInput, must_be
 from freerein.types.common import Goal
 from freerein.types.sim import CreateSessionRequest, Recipe
 from freerein_orchestrator.envs.episodes import Episode, derive_seed, run_episodes
-from freerein_orchestrator.envs.true_switching import TrueSwitching
+from freerein_orchestrator.envs.switching import Switching
 from freerein_orchestrator.envs.truth import Flags, TruthSession, check_predicates, truth_session
 from freerein_orchestrator.kinds.evaluate.demonstration import (
     Demonstration,
@@ -60,8 +60,8 @@ class DemonstrationsConfig(PolicyConfig):
         demonstration_conditions: Conditions under which they are shown; those of the trials are `conditions`.
         steps_per_landmark: Steps after which a landmark is abandoned; 0 for the model's own limit.
         length_factor: A trial lasts so many times as long as its demonstration.
-        switching: By the `policy`'s own flag, or by the `truth`, a ceiling: the next landmark is its goal once it truly
-            is at the present one, or has used up its steps.
+        switching: By the `policy`'s own flag; by `steps`, the next landmark is its goal after `steps_per_landmark`; or
+            by the `truth`, a ceiling: once it truly is at the present one, or has used up its steps.
         measures: Whether the task's measures are taken; each may take longer than the trial.
     """
 
@@ -72,18 +72,14 @@ class DemonstrationsConfig(PolicyConfig):
     demonstration_conditions: tuple[str, ...] = ()
     steps_per_landmark: int = bounded(0, least=0, most=10_000)
     length_factor: float = bounded(5.0, least=1.0, most=100.0)
-    switching: Literal["policy", "truth"] = "policy"
+    switching: Literal["policy", "steps", "truth"] = "policy"
     measures: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_no_goal(self)
-        if self.switching == "truth" and isinstance(self.policy, str):
-            raise InvalidInput(
-                f"Landmarks are switched for a policy that follows goal images; {self.policy} does not.",
-                field="config.switching",
-                hint="Leave it out, or name a model of the imitation service.",
-            )
+        if self.switching != "policy" and isinstance(self.policy, str):
+            raise _not_switched(self.policy)
 
 
 class DemonstrationsEvaluation:
@@ -101,6 +97,8 @@ class DemonstrationsEvaluation:
             raise must_be("paths", rule, f"{len(unknown)} others", field="config.paths")
         self._setup = setup
         self._policy = find_policy(setup, max_steps_per_goal=config.steps_per_landmark)
+        if config.switching != "policy" and not self._policy.max_steps_per_goal:
+            raise _not_switched("this one")
         self._cameras = self._policy.cameras or (task.cameras[0].name,)
         self._demonstrations = [self._demonstrate(path) for path in config.paths or task.skills]
         offered = [each.name for each in task.predicates]
@@ -143,7 +141,8 @@ class DemonstrationsEvaluation:
                 there = [each.states[n][None] for each, n in zip(shown, index.tolist(), strict=True)]
                 return np.concatenate(truth.holds(AT_LANDMARK, [state[None] for state in states], there))
 
-            switching = TrueSwitching(landmarks, is_at, max_steps=self._policy.max_steps_per_goal)
+            judge = is_at if self._setup.config.switching == "truth" else None
+            switching = Switching(landmarks, judge, max_steps=self._policy.max_steps_per_goal)
             return run(switching.switch(self._policy), goals=switching.goals, tell=switching.tell)
 
     def _outcomes(
@@ -241,6 +240,14 @@ class DemonstrationsEvaluation:
         return demonstrate(
             setup.sim, setup.task, request, path, setup.interrupt, cameras=self._cameras, every=config.every
         )
+
+
+def _not_switched(policy: str) -> InvalidInput:
+    return InvalidInput(
+        f"Landmarks are switched for a policy that follows goal images; {policy} does not.",
+        field="config.switching",
+        hint="Leave it out, or name a model of the imitation service that follows them.",
+    )
 
 
 def _at_landmarks(

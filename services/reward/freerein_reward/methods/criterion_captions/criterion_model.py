@@ -19,7 +19,10 @@ class CriterionModel:
 
     def __init__(self, network: CriterionNetwork) -> None:
         self.network = channels_last(network.eval())
-        self.cameras = network.spec.cameras
+        self.cameras, units = network.spec.cameras, network.spec.units
+        self.aspects: Mapping[str, float] = {
+            name: units[2 * place] / units[2 * place + 1] for place, name in enumerate(self.cameras)
+        }
         self.grammar: Grammar = network.grammar
         side = network.spec.image_size // _CELL_PIXELS
         self._cells = (len(self.cameras), side, side, network.spec.phrase_dim)

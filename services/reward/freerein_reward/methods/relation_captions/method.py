@@ -1,5 +1,6 @@
 """The method `relation_captions`."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,8 @@ def _prepare(
     """
     dataset, model = source.dataset, load_grounding(grounding, str(device))
     spec = network_spec(_base_spec(model), config)  # rejects what is out of bounds before captioning
+    shapes = [dataset.spec.cameras[camera] for camera in config.cameras]
+    spec = replace(spec, aspects=tuple(height / width for height, width, _ in shapes))
     cache = captions / f"captions-{grounding.name}.safetensors"
     images = caption_images(dataset, model, config, cache, size=spec.image_size)
     check_shown(dataset.cached_frames(config.cameras[0]).steps, config.phrases, model)

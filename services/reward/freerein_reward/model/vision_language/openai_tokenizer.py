@@ -20,6 +20,9 @@ _BYTES = 256
 _SPECIAL = 2  # start and end of text: the last two tokens
 _PRINTED = (*range(ord("!"), ord("~") + 1), *range(ord("¡"), ord("¬") + 1), *range(ord("®"), ord("ÿ") + 1))
 _CACHE = 1 << 16
+_LONGEST_WORD = 128
+"""Characters of a word that are read: merging takes quadratic time."""
+
 _WORD = re.compile(r"'(?:s|t|re|ve|m|ll|d)|[^\W\d_]+|\d|(?:[^\w\s]|_)+")
 
 
@@ -59,10 +62,15 @@ class BpeTokenizer:
         ids = np.zeros((len(texts), self._length), np.int64)
         truncated = np.zeros(len(texts), bool)
         for row, text in enumerate(texts):
-            found = [each for word in _WORD.findall(text.lower()) for each in self._word_ids(word)]
-            kept = found[: self._length - _SPECIAL]
+            most = self._length - _SPECIAL
+            found: list[int] = []
+            for word in _WORD.finditer(text.lower()):
+                found += self._word_ids(word[0][:_LONGEST_WORD])
+                truncated[row] |= len(word[0]) > _LONGEST_WORD or len(found) > most
+                if len(found) > most:
+                    break
+            kept = found[:most]
             ids[row, : len(kept) + _SPECIAL] = [self._start, *kept, self._end]
-            truncated[row] = len(kept) < len(found)
         return ids, truncated
 
     def _merged(self, word: str) -> tuple[int, ...]:
