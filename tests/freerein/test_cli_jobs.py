@@ -174,6 +174,8 @@ def test_an_id_may_be_given_by_its_first_digits_or_a_readable_name() -> None:
     ids = ["8bc1f7" + "0" * 26, "a" * 32]
     assert whole_id("8bc", ids) == ids[0]
     assert whole_id("ppo-yellow-left-of-green-8bc1f7", ids) == ids[0]
+    with pytest.raises(InvalidInput, match="0 ids begin so"):
+        whole_id("segmentation-kitchen-8", ids)  # a name as the list shows it
     assert is_whole_id(ids[0])
     assert not is_whole_id("ppo-yellow-left-of-green2-8bc1f7")  # as long as an id
     for given in ("", "ppo-", "ppo-yellow-left-of-green", "ppo-9bc1f7"):

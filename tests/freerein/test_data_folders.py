@@ -47,7 +47,7 @@ def test_a_folder_of_images_for_each_trajectory_is_a_dataset_without_actions(tmp
 
     assert (source.names, dataset.spec.fps, dataset.spec.cameras) == (("take-2", "take-10"), 5, {"camera": (12, 16, 3)})
     assert (dataset.spec.skills, dataset.skills) == (("pour", "reach"), (("pour", "reach"), ()))
-    assert source.contents == "take-2 to take-10, one camera, 1 with tags, 5 timesteps a second"
+    assert source.contents == "take-2 to take-10, one camera, actions of 2 numbers, 1 with tags, 5 timesteps a second"
     assert [brightness(dataset, 0), brightness(dataset, 1)] == [list(range(11)), [3, 4]]
     assert (dataset[0].actions.shape, dataset.cached_actions()[1].shape) == ((11, 0), (2, 0))
     assert [each.where for each in check(tmp_path / "ours") if each.where == "actions"] == ["actions"]
@@ -56,20 +56,47 @@ def test_a_folder_of_images_for_each_trajectory_is_a_dataset_without_actions(tmp
 
 
 @pytest.mark.parametrize(
-    "names",
+    ("names", "fps"),
     [
-        ("2", "10"),
-        ("1700000000.05", "1700000000.1", "1700000000.15", "1700000001"),
-        ("frame-0.9", "frame-0.95", "frame-1.0"),
-        ("cam0_0002", "cam0_0010"),
+        (("2", "10"), 10),
+        (("1700000000.05", "1700000000.1", "1700000000.15", "1700000001"), 20),
+        (("1700000000033", "1700000000067", "1700000000100"), 30),
+        (("frame-0.9", "frame-0.95", "frame-1.0"), 10),
+        (("cam0_0002", "cam0_0010"), 10),
     ],
 )
-def test_images_are_in_the_order_of_their_numbers_or_times(tmp_path: Path, names: tuple[str, ...]) -> None:
+def test_images_are_in_the_order_of_their_numbers_or_times(tmp_path: Path, names: tuple[str, ...], fps: int) -> None:
     draw(tmp_path / "a", *range(len(names)))
     for index in reversed(range(len(names))):
         (tmp_path / "a" / f"{index}.png").rename(tmp_path / "a" / f"{names[index]}.png")
-    (only,) = FolderSource(tmp_path)
+    (only,) = FolderSource(tmp_path, fps=fps)
     assert only.frames["camera"].mean(axis=(1, 2, 3)).tolist() == list(range(len(names)))
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        (("1700000000.000000", "1700000000.033333", "1700000000.066667"), "10 a second, by --fps; those of `a` are 30"),
+        (("1700000000.99000000", "1700000000.132000000"), "must have one number of digits after the point"),
+    ],
+)
+def test_times_in_names_that_would_be_misread_are_refused(tmp_path: Path, names: tuple[str, ...], says: str) -> None:
+    draw(tmp_path / "a", *range(len(names)))
+    for index, name in enumerate(names):
+        (tmp_path / "a" / f"{index}.png").rename(tmp_path / "a" / f"{name}.png")
+    with pytest.raises(InvalidInput, match=says):
+        FolderSource(tmp_path)
+
+
+def test_tables_are_found_whatever_their_case_and_near_names_are_refused(tmp_path: Path) -> None:
+    draw(tmp_path / "a", 0, 1)
+    (tmp_path / "a" / "Actions.csv").write_text("x,y\n0,1\n2,3\n")
+    (tmp_path / "Tags.csv").write_text("trajectory,skills\na,reach\n")
+    source = FolderSource(tmp_path)
+    assert (source.spec.action.size, source.spec.skills) == (2, ("reach",))
+    (tmp_path / "a" / "Actions.csv").rename(tmp_path / "a" / "action.csv")
+    with pytest.raises(InvalidInput, match=r"must be called `actions\.csv`"):
+        FolderSource(tmp_path)
 
 
 def test_images_whose_names_have_two_orders_are_refused(tmp_path: Path) -> None:
@@ -283,7 +310,7 @@ def test_a_camera_of_any_name_without_a_number_is_alike_in_all_trajectories(tmp_
         for camera in ("bench", "door"):
             draw(tmp_path / take / camera, 1, 2)
     source = FolderSource(tmp_path)
-    assert source.contents == "take-1 to take-2, cameras bench, door, no tags, 10 timesteps a second"
+    assert source.contents == "take-1 to take-2, cameras bench, door, no actions, no tags, 10 timesteps a second"
 
 
 def test_files_of_operating_systems_are_ignored_and_named(tmp_path: Path) -> None:

@@ -128,6 +128,8 @@ def test_labels_are_read_as_people_have_them(root: Path) -> None:
         (BY_TIMESTEP, LabelOptions()),
         ("frame,label\n" + "".join(f"{t},{skill}\n" for t, skill in enumerate(EACH)), FIRST),
         ("timestamp,label\n" + "".join(f"{t / 10},{skill}\n" for t, skill in enumerate(EACH)), FIRST),
+        ("timestamp,label\n" + "".join(f"{np.float32(t / 10):.20f},{skill}\n" for t, skill in enumerate(EACH)), FIRST),
+        ("reach 0.0004 0.5009\npour 7.004e-1 1.2\n", FIRST),
         (ELAN, FIRST),
         ("Ebene\tAnfang\tEnde\tWert\nmain\t0.0\t0.5\treach\nmain\t0.7\t1.2\tpour\n", FIRST),
         ("start,end,skill\n0.0,5.0,reach\n7.0,12.0,pour\n", LabelOptions(trajectory=0, unit="timesteps")),

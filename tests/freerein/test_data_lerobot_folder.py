@@ -8,8 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
-from freerein.data import Dataset, DatasetSpec, create, save_teachers, truth
+from freerein.data import Dataset, DatasetSpec, create, hand_labels, read_teachers, save_teachers, truth
 from freerein.types.common import ActionSpec, Trajectory
+from freerein.types.orchestrator import LabelSegment
 
 SPEC = DatasetSpec(
     fps=7,
@@ -56,6 +57,7 @@ def test_what_is_exported_is_imported_again_to_the_bit(root: Path, tmp_path: Pat
     assert json.loads((folder / "meta/info.json").read_bytes())["fps"] == 7
     assert run("import", folder, "again")[0] == 0
     ours, theirs = Dataset(root), Dataset(root.parent / "again")
+    assert read_teachers(root.parent / "again") == read_teachers(root) != []
     assert (theirs.spec.control_dt_s, theirs.spec.skills, theirs.goal_texts) == (0.15, ("lift",), ours.goal_texts)
     for index, (one, other) in enumerate(zip(ours, theirs, strict=True)):
         assert one.terminated is not None
@@ -78,3 +80,26 @@ def test_a_damaged_file_or_a_full_folder_is_refused_and_nothing_is_left(root: Pa
     code, said = run("export", "rolled", "--to", tmp_path / "new")
     assert (code, "Trajectory 1 must be as it was recorded" in said) == (1, True)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["full", "var"]
+
+
+def test_what_people_gave_a_dataset_is_not_lost_in_silence_where_it_is_replaced(root: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "given"
+    assert run("export", "rolled", "--to", folder)[0] == 0
+    hand_labels.save(root, 0, [LabelSegment(0, 3, "lift")], known=["lift"])
+    status, said = run("import", folder, "rolled", "--replace")
+    assert (status, "no labels that a person gave" in " ".join(said.split())) == (1, True)
+    assert hand_labels.count(root) == 1
+
+    next((root / "hand_labels").iterdir()).unlink()
+    status, said = run("import", folder, "rolled", "--replace")
+    assert (status, "had true labels of its own: give them again" in " ".join(said.split())) == (0, True)
+
+
+def test_features_are_chosen_of_other_programs_datasets_alone(root: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "given"
+    assert run("export", "rolled", "--to", folder)[0] == 0
+    for words, says in ((("--cameras", "nonsense"), "freerein wrote this one"), (("--fps", 30), "--fps must be given")):
+        status, said = run("import", folder, "again", *words)
+        assert (status, says in " ".join(said.split())) == (1, True)
+    assert run("verify", folder)[0] == run("export", "rolled", "--to", tmp_path / "Given Away")[0] == 0
+    assert run("verify", tmp_path / "Given Away")[0] == 0

@@ -102,12 +102,12 @@ def _ways_out(batches: Batches, dataset: str) -> Iterator[str]:
     if smaller:
         height, width, _ = held.frame
         command = f"freerein dataset import FOLDER {dataset} --replace --size {height}x{width}"
-        yield f"Import smaller frames: {command}."
+        yield f"Import smaller frames: `{command}`."
     if not held.are_held:
         strides = range(held.stride + 1, _MOST_STRIDE + 1)
         stride = next((each for each in strides if replace(held, stride=each).are_held), _MOST_STRIDE)
-        yield f"Learn from one timestep in {stride}: freerein fit segmentation {dataset} --set stride={stride}."
+        yield f"Learn from one timestep in {stride}: `freerein fit segmentation {dataset} --set stride={stride}`."
     size = next((size for size in range(batches.size, 0, -1) if replace(batches, size=size).are_held), 0)
     if size:
         strided = f" --set stride={batches.stride}" if batches.stride > 1 else ""
-        yield f"Or smaller batches: freerein fit segmentation {dataset} --set batch_size={size}{strided}."
+        yield f"Or smaller batches: `freerein fit segmentation {dataset} --set batch_size={size}{strided}`."

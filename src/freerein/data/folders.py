@@ -4,7 +4,9 @@ Without any `actions.csv` trajectories have no actions.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +14,7 @@ import numpy.typing as npt
 from freerein import images
 from freerein.data.action_table import read_actions
 from freerein.data.annotations import read_tags
-from freerein.data.image_names import natural
+from freerein.data.image_names import natural, times_s
 from freerein.data.importing import Recorded, Source
 from freerein.data.layout import DatasetSpec
 from freerein.data.recordings import (
@@ -25,14 +27,16 @@ from freerein.data.recordings import (
     is_image,
     is_of_system,
     system_files,
+    table_in,
 )
 from freerein.data.videos import BOUNDS, are_stretched, joined, stretch_notes
-from freerein.errors import InvalidInput, NotFound
+from freerein.errors import InvalidInput, NotFound, quoted
 from freerein.regular_files import read_regular
 from freerein.types.common import ActionSpec, Image, Trajectory
 from freerein.video import frames_at_rate, open_video
 
 _RUNS = 50
+_MOST_OFF_RATE = 0.1
 _SHORTER, _LONGEST = 128, 1024
 """Shorter side that images are scaled to, and most of the longer one."""
 
@@ -63,11 +67,13 @@ class FolderSource(Source):
         self._stretched: dict[str, tuple[int, ...]] = {}
         self.names = tuple(each.name for each in self._recordings)
         """Names of the trajectories, in their order."""
-        if tags is None and (folder / TAGS).is_file():
-            tags = read_regular(folder / TAGS, name=TAGS)
+        if tags is None and (table := table_in(folder, TAGS)) is not None:
+            tags = read_regular(table, name=TAGS)
         self._spellings = list[str]()
         self._skills = read_tags(tags, self.names, on_note=self._spellings.append) if tags is not None else {}
         self._actions = [_actions(each) for each in self._recordings]
+        for each in self._recordings:
+            _check_rate(each, fps)
         kinds = {(names, values.shape[1]) for names, values in self._actions}
         if len(kinds) > 1:
             raise InvalidInput(
@@ -86,13 +92,15 @@ class FolderSource(Source):
 
     @property
     def contents(self) -> str:
-        """Names of trajectories and cameras, and how many have tags."""
+        """Names of trajectories and cameras, actions, how many have tags, and the rate."""
         first, *others = self.names
         named = sorted(set(self.spec.cameras) - {CAMERA})
         cameras = f"cameras {', '.join(self.spec.cameras)}" if named else "one camera"
         tagged = f"{len(self._skills)} with tags" if self._skills else "no tags"
+        size = self.spec.action.size
+        actions = f"actions of {size} numbers" if size else "no actions"
         names = f"{first} to {others[-1]}" if others else first
-        return f"{names}, {cameras}, {tagged}, {self.spec.fps} timesteps a second"
+        return f"{names}, {cameras}, {actions}, {tagged}, {self.spec.fps} timesteps a second"
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -206,6 +214,20 @@ class ImageSource(Source):
         if are_stretched(pixels.shape, size):
             self._stretched[f"{file.parent.name}/{file.name}"] = pixels.shape[:2]
         return _in_shape(pixels, size, self._shape, file)
+
+
+def _check_rate(recording: Recording, fps: int) -> None:
+    """Raises InvalidInput where the times that images are named by tell another rate."""
+    for files in recording.cameras.values():
+        times = times_s(files) if isinstance(files, tuple) else ()
+        step_s = float(median(after - before for before, after in pairwise(times))) if times[1:] else 0.0
+        if step_s > 0 and abs(step_s * fps - 1) > _MOST_OFF_RATE:
+            raise InvalidInput(
+                f"Images must be {fps} a second, by --fps; those of {quoted(recording.name)} are {1 / step_s:.4g}, as "
+                f"their names say.",
+                field="fps",
+                hint=f"freerein dataset import FOLDER NAME --fps {max(1, round(1 / step_s))}",
+            )
 
 
 def _actions(recording: Recording) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:

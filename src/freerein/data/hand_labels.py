@@ -15,12 +15,22 @@ from freerein.atomic_files import write_atomic
 from freerein.data import json_files
 from freerein.data.meta import WriterLock
 from freerein.data.reader import Dataset
-from freerein.errors import InvalidInput, must_be, quoted
+from freerein.errors import FailedPrecondition, InvalidInput, must_be, quoted
 from freerein.types.orchestrator import LabelSegment
 from freerein.unknown_names import described, listed
 
 _FOLDER = "hand_labels"
 _HINT = "Save the labels of this trajectory again, or delete the file."
+
+
+def check_none(root: Path) -> None:
+    """Raises FailedPrecondition where a person has labelled a trajectory of a dataset, which nobody else has."""
+    if count(root):
+        raise FailedPrecondition(
+            "A dataset that is replaced must have no labels that a person gave; this one has some.",
+            field="dataset",
+            hint="Choose another name, or give them up with it: `freerein dataset rm NAME`.",
+        )
 
 
 def save(root: Path, index: int, segments: Sequence[LabelSegment], *, known: Collection[str]) -> None:

@@ -11,6 +11,12 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _TIME = re.compile(r"\d{9,}")
 """Time since the epoch in a name, in seconds: a dot after it does not separate two numbers."""
 
+_UNITS = {10: 1, 13: 1_000, 16: 1_000_000, 19: 1_000_000_000}
+"""Parts of a second that a time since the epoch counts, by its number of digits before the point."""
+
+_MOST_UNPADDED = 7
+"""Digits after the point of a time in float64; more are nanoseconds, which are padded to nine, or wrong."""
+
 _CAMERA = re.compile(r"(?:cam|camera|kinect|realsense|view)[-_ ]?(\d{1,2})(?!\d)", re.IGNORECASE)
 
 
@@ -33,6 +39,7 @@ def in_order(files: Sequence[Path]) -> tuple[Path, ...]:
     for file in files if shared else ():
         if (other := first.setdefault(numbers[file][:shared], file)) is not file:
             raise _several_series(other, file, "have the same number")
+    _check_padded(files)
     ordered = tuple(sorted(files, key=lambda each: numbers[each][:shared]))
     if ordered != tuple(files) and not (len(texts) == 1 and all(_TIME.search(each.stem) for each in files)):
         raise InvalidInput(
@@ -41,6 +48,27 @@ def in_order(files: Sequence[Path]) -> tuple[Path, ...]:
             hint="Rename them: 0001.png, 0002.png, ...",
         )
     return ordered
+
+
+def times_s(files: Sequence[Path]) -> tuple[Decimal, ...]:
+    """Returns the times since the epoch that images are named by, in seconds; empty where not all are named by one."""
+    found = [_NUMBER.findall(each.stem) for each in files]
+    whole = {len(each[0].partition(".")[0]) if len(each) == 1 else 0 for each in found}
+    unit = _UNITS.get(whole.pop()) if len(whole) == 1 else None
+    return tuple(Decimal(each[0]) / unit for each in found) if unit else ()
+
+
+def _check_padded(files: Sequence[Path]) -> None:
+    """Raises InvalidInput where nanoseconds after a point lack zeros: .5 reads as half a second then."""
+    names = [each.stem for each in files if _TIME.search(each.stem)]
+    parts = [number.partition(".")[2] for name in names for number in _NUMBER.findall(name)]
+    lengths = {len(part) for part in parts if part}
+    if len(lengths) > 1 and max(lengths) > _MOST_UNPADDED:
+        raise InvalidInput(
+            f"Times in the names of the images in `{files[0].parent.name}` must have one number of digits after the "
+            f"point, where these are nanoseconds; they have {min(lengths)} to {max(lengths)}.",
+            hint="Pad them to nine digits: 1700000000.005000000.png for 5 milliseconds.",
+        )
 
 
 def natural(path: Path) -> list[tuple[Decimal, str]]:

@@ -1,19 +1,20 @@
 """Imports trajectories of other tools as a dataset of ours: all of them, or none."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein.atomic_files import fsync_folder
-from freerein.data import truth
+from freerein.data import hand_labels, tags, truth
 from freerein.data.counter_columns import CounterColumns
 from freerein.data.folder_locks import temporary_folder
 from freerein.data.layout import DatasetSpec
+from freerein.data.meta import save_teachers
 from freerein.data.removal import delete, replace
 from freerein.data.trajectory_file import State
 from freerein.data.writer import Writer, create
@@ -65,6 +66,11 @@ class Source(Protocol):
         return ""
 
     @property
+    def teachers(self) -> Sequence[Mapping[str, Any]]:
+        """Cards of the policies that acted, which a learner's card names; empty for demonstrations."""
+        return ()
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Sentences of what was left out or changed; complete once every trajectory was yielded."""
         return ()
@@ -111,7 +117,9 @@ def imported(
         raise InvalidInput("What is imported must hold a trajectory; it holds none.", hint="Name another folder.")
     with temporary_folder(root.parent, prefix=".import-") as folder:
         unfinished = folder / root.name
-        warnings = _write(source, unfinished, on_count)
+        if replaces:
+            hand_labels.check_none(root)
+        warnings = (*_write(source, unfinished, on_count), *_given_up(root))
         publish(unfinished, root, replaces=replaces, check_unused=check_unused)
         try:
             yield warnings
@@ -130,6 +138,8 @@ def _write(source: Source, unfinished: Path, on_count: Callable[[int], None]) ->
             on_count(count)
         if not len(writer):
             raise InvalidInput("A trajectory must be whole; none is.", hint="`freerein dataset verify FOLDER`.")
+    if source.teachers:
+        save_teachers(unfinished, source.teachers)
     return tuple(counters.sentences())
 
 
@@ -152,6 +162,13 @@ def _undo(replaced: Path, root: Path, check_unused: Callable[[], object]) -> Non
     else:
         check_unused()
         delete(root)
+
+
+def _given_up(root: Path) -> Iterator[str]:
+    """Yields a sentence of what people gave a dataset that is to be replaced, which the new one lacks."""
+    found = {"tags": tags.read(root), "true labels": truth.labelled(root)}
+    if given := [name for name, each in found.items() if each]:
+        yield f"The dataset that was replaced had {' and '.join(given)} of its own: give them again."
 
 
 def _is_taken(root: Path) -> bool:

@@ -35,8 +35,10 @@ _UNITS: dict[str, TimeUnit] = {
 _NEEDED = ({"start", "end"}, {"timestep", "skill"}, {"trajectory", "skill"})
 _OTHERS = re.compile(r"duration.*|participant|annotator|file.*|path|.*id")
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,3}):(\d{1,2}(?:\.\d{1,9})?)")
-_NUMBER = re.compile(r"\d{1,15}(?:\.\d{0,15})?")
-_ROUNDING = 1e-6
+_NUMBER = re.compile(r"\d{1,15}(?:\.\d{0,40})?(?:[eE][-+]?\d{1,2})?")
+_ROUNDING_S, _ROUNDING_STEPS = 1e-3, 0.25
+"""How much a time may be late that is meant to be a timestep's: files have milliseconds."""
+
 _QUOTES_HINT = "Put text that holds a separator into quotes."
 _HINT = "For example: trajectory,start,end,skill; or trajectory,timestep,skill with a line for each timestep."
 
@@ -152,7 +154,8 @@ class _Reader:
             return int(whole) if is_step else line.integer(column, least=least, most=most)
         scale = 1000 if self.unit == "milliseconds" and ":" not in text else 1
         time_s = _seconds(text) / scale
-        step = math.ceil(time_s * self.fps - _ROUNDING) if math.isfinite(time_s) else -1
+        rounding = min(_ROUNDING_S * self.fps * (1 + 1e-6), _ROUNDING_STEPS)
+        step = max(0, math.ceil(time_s * self.fps - rounding)) if math.isfinite(time_s) else -1
         if step == most + 1 and column == self.roles.get("end"):
             return most  # a video may last a little longer than its last frame
         if not least <= step <= most:

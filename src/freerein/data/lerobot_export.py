@@ -193,7 +193,7 @@ def _write(plan: _Plan) -> None:
         if language_rows.COLUMN not in info["features"]:
             features = {**info["features"], language_rows.COLUMN: language_rows.FEATURE}
             text = json.dumps({**info, "features": features}, indent=4, ensure_ascii=False)
-            stage(plan.original / layout.INFO_FILE).write_text(text)
+            stage(plan.original / layout.INFO_FILE).write_text(text, encoding="utf-8")
 
 
 def _rewrite(path: Path, new: Path, change: Callable[[pa.Table], pa.Table]) -> None:

@@ -1,9 +1,10 @@
 """The trajectories of a LeRobotDataset v3, as they are imported: what is left out is noted."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from freerein.data.annotations import read_tags
 from freerein.data.importing import Recorded, Source
 from freerein.data.lerobot_features import DEFAULTS, LeRobotOptions
+from freerein.data.meta import read_teachers
 from freerein.data.reader import Dataset
 from freerein.data.timestep_texts import TextKind, TimestepTexts
 from freerein.data.videos import are_stretched, stretch_notes
@@ -57,7 +59,7 @@ class LeRobotSource(Source):
                 f"There must be a LeRobotDataset v3 in the folder; {quoted(str(folder))} has no `meta/info.json`.",
                 hint="Name the folder that holds `meta`; for the MIME dataset add --layout mime.",
             ) from None
-        self._size = size
+        self._folder, self._size = folder, size
         self._options = options
         self._tag_texts = TimestepTexts(folder, self._dataset, tags_from) if tags_from else None
         self._label_texts = TimestepTexts(folder, self._dataset, labels_from) if labels_from else None
@@ -71,6 +73,11 @@ class LeRobotSource(Source):
         }
         skills = sorted({skill for each in self._skills for skill in each})
         self.spec = replace(own, cameras=cameras, skills=tuple(skills) or own.skills)
+
+    @property
+    def teachers(self) -> Sequence[Mapping[str, Any]]:
+        """Cards of the policies that acted, where freerein wrote the dataset."""
+        return read_teachers(self._folder)
 
     def __len__(self) -> int:
         return len(self._dataset)

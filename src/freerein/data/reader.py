@@ -65,6 +65,11 @@ class Dataset:
     def __init__(self, root: Path, options: LeRobotOptions = DEFAULTS) -> None:
         self._root = root
         spec, given = meta.read_spec(root), tags.read(root)
+        if spec is not None and options != DEFAULTS:
+            raise InvalidInput(
+                "Features must be chosen of another program's dataset; freerein wrote this one, and reads all of it.",
+                hint="Leave out --action, --state, --cameras and --skip-damaged.",
+            )
         self._meta = lerobot.read(root, options) if spec is None else _own(root, spec)
         self.spec, table, self.left_out = self._meta.spec, self._meta.episodes, self._meta.left_out
         if spec is None and given:

@@ -15,6 +15,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 
 from freerein.data.image_names import in_order, natural
@@ -25,6 +26,9 @@ CAMERA = "camera"
 
 ACTIONS, TAGS = "actions.csv", "tags.csv"
 _IMAGES, _VIDEOS = frozenset((".png", ".jpg", ".jpeg", ".webp")), frozenset((".mp4", ".m4v", ".mov"))
+_NEAR = 0.85
+"""Likeness of names, by `difflib`, from which one might be meant for another."""
+
 _NOTES = frozenset((".csv", ".json", ".md", ".txt"))
 """Suffixes of files that may lie beside images and videos and are not read, but for the tables."""
 
@@ -134,18 +138,39 @@ def _recording(entry: Path) -> Recording | None:
     if entry.is_file():
         return Recording(entry.stem, {CAMERA: entry}) if _is_video(entry) else None
     cameras: list[tuple[str, Files]] = [(each.stem, each) for each in _entries(entry) if _is_video(each)]
-    cameras += [(each.name, files) for each in _entries(entry) if each.is_dir() and (files := _images(each))]
-    cameras += [(CAMERA, own)] if (own := _images(entry)) else []
+    cameras += [(each.name, files) for each in _entries(entry) if each.is_dir() and (files := image_series(each))]
+    cameras += [(CAMERA, own)] if (own := image_series(entry)) else []
     if not cameras:
         return None
     _check_different([name for name, _ in cameras], entry, "recordings of a camera")
-    actions = entry / ACTIONS
-    return Recording(entry.name, dict(cameras), actions if actions.is_file() else None)
+    return Recording(entry.name, dict(cameras), table_in(entry, ACTIONS))
 
 
-def _images(folder: Path) -> tuple[Path, ...]:
-    """Returns the images in a folder, in the order of their names."""
-    files = tuple(filter(is_image, _entries(folder)))
+def table_in(folder: Path, name: str) -> Path | None:
+    """Returns the table of a name in a folder, whatever its case; None where there is none.
+
+    Raises:
+        InvalidInput: There is another one of about that name, such as `action.csv` for `actions.csv`.
+    """
+    tables = [each for each in _entries(folder) if each.is_file() and each.suffix.lower() == ".csv"]
+    found = next((each for each in tables if each.name.lower() == name), None)
+    near = get_close_matches(name, [each.name.lower() for each in tables], n=1, cutoff=_NEAR)
+    if found is None and near:
+        raise InvalidInput(
+            f"`{folder.name}/{near[0]}` is not read, and might be meant; the table must be called `{name}`.",
+            hint=f"Rename it to `{name}`, or move it away.",
+        )
+    return found
+
+
+def images_of(folder: Path) -> tuple[Path, ...]:
+    """Returns the images in a folder, whole numbers in their names by value."""
+    return tuple(filter(is_image, _entries(folder)))
+
+
+def image_series(folder: Path) -> tuple[Path, ...]:
+    """Returns the images in a folder in the order of the numbers, or times, in their names; raises as `in_order`."""
+    files = images_of(folder)
     if files:
         _check_different([each.stem for each in files], folder, "images of a timestep")
     return in_order(files)

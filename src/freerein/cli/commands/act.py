@@ -50,7 +50,7 @@ def act(
     _check(image, goal, recipe, goal_text)
     request = ActRequest(
         observation=Observation(read_images(image or ()), _numbers(robot_state) if robot_state else None),
-        goal=Goal(read_images(goal or ()), tuple(recipe or ()), goal_text),
+        goal=Goal(read_images(goal or (), is_series=True), tuple(recipe or ()), goal_text),
         model=ModelRef(model, version),
         resize=resize,
     )

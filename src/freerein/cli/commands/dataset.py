@@ -27,12 +27,15 @@ from freerein.data import (
     Source,
     TextKind,
     TimeUnit,
+    dataset_path,
 )
 from freerein.data.label_segments import read_label_segments, to_csv
 from freerein.data.lerobot_export import export_labels
 from freerein.data.lerobot_folder import export_lerobot
+from freerein.data.lookup import dataset_names
 from freerein.errors import InvalidInput, must_be, quoted
 from freerein.jobs import wall_clock
+from freerein.types.common import is_name
 
 app = typer.Typer(
     help="Import, inspect, check, annotate and export datasets.", no_args_is_help=True, add_completion=False
@@ -43,7 +46,6 @@ _REPEATABLE = "repeatable; of layout lerobot."
 
 _Texts = TextKind | None
 _Features = list[str] | None
-_Names = list[str] | None
 _Name = Annotated[str, typer.Argument(help="Name of a dataset in the data directory.")]
 
 
@@ -51,7 +53,8 @@ _Name = Annotated[str, typer.Argument(help="Name of a dataset in the data direct
 @command
 def list_datasets(as_json: AsJson = False) -> None:
     """List the datasets in the data directory."""
-    found = {path.parent.name: path for path in sorted((CliSettings().data_dir / "datasets").glob("*/meta"))}
+    data_dir = CliSettings().data_dir
+    found = {name: dataset_path(data_dir, name) / "meta" for name in dataset_names(data_dir)}
     if as_json:
         print_json({"datasets": list(found)})
     else:
@@ -78,7 +81,9 @@ def import_dataset(
     layout: Annotated[
         Literal["auto", "folder", "lerobot", "mime"], typer.Option(help="What the folder holds; auto: by its `meta`.")
     ] = "auto",
-    fps: Annotated[int, typer.Option(min=1, max=1000, help="Timesteps per second, of layout folder.")] = 10,
+    fps: Annotated[
+        int | None, typer.Option(min=1, max=1000, help="Timesteps per second, of layout folder; 10 by default.")
+    ] = None,
     tags: Annotated[
         Path | None,
         typer.Option(metavar="TAGS.CSV", help="Skills by name of the trajectory, or by LeRobot's `episode_index`."),
@@ -116,13 +121,19 @@ def _source(
     path: Path,
     *,
     size: tuple[int, int] | None,
-    fps: int,
+    fps: int | None,
     tags: Path | None,
     options: LeRobotOptions,
     texts: Mapping[str, TextKind | None],
 ) -> Source:
     """Returns the trajectories of a folder of a layout; raises InvalidInput where an option is of another one."""
     table = tags.read_bytes() if tags else None
+    if fps and kind != "folder":
+        raise InvalidInput(
+            f"--fps must be given with layout folder; the layout is {kind}, whose rate is its own.",
+            field="fps",
+            hint="Leave it out.",
+        )
     if kind == "lerobot":
         return LeRobotSource(path, size=size, options=options, tags=table, **texts)
     if options != LeRobotOptions() or any(texts.values()) or (kind == "mime" and tags):
@@ -132,7 +143,8 @@ def _source(
             field="layout",
             hint="Leave them out, or name the folder that holds `meta`.",
         )
-    return FolderSource(path, size=size, fps=fps, tags=table) if kind == "folder" else MimeSource(path, size=size)
+    rate = {"fps": fps} if fps else {}
+    return FolderSource(path, size=size, tags=table, **rate) if kind == "folder" else MimeSource(path, size=size)
 
 
 def _names(given: list[str] | None) -> tuple[str, ...]:
@@ -169,7 +181,7 @@ def verify(
 ) -> None:
     """Read every file of a dataset and list damage; exit code 1 where there is any."""
     folder = Path(name).expanduser()
-    is_folder = "/" in name or (folder.is_dir() and not dataset_root(name).is_dir())
+    is_folder = "/" in name or (folder.is_dir() and not (is_name(name) and dataset_root(name).is_dir()))
     root = folder if is_folder else dataset_root(name)
     _report(name, data.verify(root), as_json=as_json, verdict="is undamaged")
 

@@ -124,9 +124,9 @@ def reward(
 @contextmanager
 def _imported(source: Source, name: str, *, replaces: bool, as_json: bool) -> Iterator[None]:
     """Imports trajectories as a dataset; undoes that where the fit is refused, unless it is queued."""
-    with imported_with_progress(source, name, replaces=replaces, is_shown=not as_json):
-        lines = [f"Imported as {name}: {source.contents}.", *source.notes] if source.contents else source.notes
-        typer.echo("".join(f"{line}\n" for line in lines if not as_json), nl=False)
+    with imported_with_progress(source, name, replaces=replaces, is_shown=not as_json) as warnings:
+        contents = [f"Imported as {name}: {source.contents}."] if source.contents else []
+        typer.echo("".join(f"{line}\n" for line in (*contents, *source.notes, *warnings)), nl=False, err=as_json)
         yield
 
 

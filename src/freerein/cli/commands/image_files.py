@@ -4,35 +4,34 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from freerein import images
-from freerein.data.image_names import natural
+from freerein.data.recordings import image_series, images_of
 from freerein.errors import NotFound
 from freerein.types.common import Image
 
 FILES = "[CAMERA=]FILE"
 """Syntax of an image option; the camera is needed where the model has several."""
 
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 
-
-def read_images(named: Sequence[str]) -> tuple[Image, ...]:
+def read_images(named: Sequence[str], *, is_series: bool = False) -> tuple[Image, ...]:
     """Returns the images in files or folders, each named as `FILES` describes; a folder's in the order of their names.
 
-    `2.png` comes before `10.png`.
+    `2.png` comes before `10.png`. Those of a series are in the order in which a dataset is imported: by number or time.
 
 
-    Raises NotFound where there is no image, UnsupportedMedia where a file is not PNG, JPEG or WebP.
+    Raises NotFound where there is no image, UnsupportedMedia where a file is not PNG, JPEG or WebP, InvalidInput where
+    the names of a series have several orders.
     """
-    return tuple(_read(path, camera) for text in named for camera, path in _files(text))
+    return tuple(_read(path, camera) for text in named for camera, path in _files(text, is_series=is_series))
 
 
-def _files(text: str) -> list[tuple[str, Path]]:
+def _files(text: str, *, is_series: bool) -> list[tuple[str, Path]]:
     camera, equals, rest = text.partition("=")
     if not equals or Path(text).exists():
         camera, rest = "", text
     path = Path(rest)
     if path.is_file():
         return [(camera, path)]
-    found = sorted((file for file in path.glob("*") if file.suffix.lower() in _SUFFIXES), key=natural)
+    found = image_series(path) if is_series else images_of(path)
     if not found:
         raise NotFound(
             "An image must be a file, or a folder of PNG, JPEG or WebP files; got neither.",

@@ -44,7 +44,7 @@ def imitate(
     as_json: AsJson = False,
 ) -> None:
     """Have a policy follow a demonstration, a folder of images, in a simulated task."""
-    goals = _in_order([read_images([each]) for each in demo])
+    goals = _in_order([read_images([each], is_series=True) for each in demo])
     reference = ModelRef(model, version)
     asked = Demonstration(task, goals, reference, seed, steps, steps_per_goal, tuple(condition or ()), path, resize)
     followed = asyncio.run(_follow(asked, as_json=as_json))

@@ -25,7 +25,7 @@ from freerein.data import Dataset, labels, read_actions, read_choices
 from freerein.data.labels import LabelsInfo, LabelsWriter
 from freerein.data.lookup import choose_camera
 from freerein.errors import InvalidInput, NotFound, must_be, quoted
-from freerein.types.common import ModelRef
+from freerein.types.common import ModelRef, Trajectory
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
 from freerein.video import frames_at_rate, open_video
 
@@ -249,11 +249,16 @@ async def label_all(
     skills = await client.list_skills(ListSkillsRequest(request.model))
     info, dataset, scores = LabelsInfo(skills.skills, skills.model), Dataset(root), list[npt.NDArray[np.float32]]()
     chosen = choose_camera(dataset, camera, of_model=skills.camera)
+
+    async def segment(trajectory: Trajectory) -> SegmentResponse:
+        frames, actions = trajectory.frames[chosen], trajectory.actions
+        filled = replace(request, model=skills.model, frames=frames, actions=actions)
+        return await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S)
+
+    first = await segment(dataset[0])  # a model that takes no such frames leaves the labels that are there
     with LabelsWriter(root, name=_WRITER) as writer:
         for index, trajectory in enumerate(dataset):
-            frames, actions = trajectory.frames[chosen], trajectory.actions
-            filled = replace(request, model=skills.model, frames=frames, actions=actions)
-            answer = await client.segment(filled, timeout_s=SEGMENT_TIMEOUT_S)
+            answer = await segment(trajectory) if index else first
             writer.save(index, answer.labels)
             scores.append(answer.in_distribution)
             on_count(index + 1)

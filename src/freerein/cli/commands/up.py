@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from freerein.cli.output import AsJson, command, print_error
 from freerein.cli.settings import CliSettings
@@ -128,5 +129,7 @@ def _table(statuses: tuple["ServiceStatus", ...]) -> Table:
     for status in statuses:
         colour = _COLOURS.get(status.state, "yellow")
         state = f"[{colour}]{status.state}[/]"
-        table.add_row(status.service, state, status.rest_url, status.grpc_address, str(status.restarts), status.reason)
+        table.add_row(
+            status.service, state, status.rest_url, status.grpc_address, str(status.restarts), Text(status.reason)
+        )
     return table

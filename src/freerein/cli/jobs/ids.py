@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from freerein.errors import InvalidInput
 
-_ID_DIGITS, _SHOWN = 32, 8
+_ID_DIGITS, _SHOWN, _LEAST_BY_NAME = 32, 8, 6
 
 
 def short(job_id: str) -> str:
@@ -19,9 +19,13 @@ def is_whole_id(given: str) -> bool:
 
 
 def matching(given: str, ids: Iterable[str]) -> list[str]:
-    """Returns the ids that begin with these digits, or with those that a readable name ends with."""
-    digits = given.rpartition("-")[2]
-    return [each for each in ids if digits and each.startswith(digits)]
+    """Returns the ids that begin with these digits, or with those, at least 6, that a readable name ends with.
+
+    A name alone is no id: that of another job may end in digits, such as `segmentation-kitchen-2`.
+    """
+    name, _, digits = given.rpartition("-")
+    is_enough = len(digits) >= (_LEAST_BY_NAME if name else 1)
+    return [each for each in ids if is_enough and each.startswith(digits)]
 
 
 def whole_id(given: str, ids: Iterable[str]) -> str:
@@ -29,7 +33,8 @@ def whole_id(given: str, ids: Iterable[str]) -> str:
     found = matching(given, ids)
     if len(found) != 1:
         raise InvalidInput(
-            f"An id of {_ID_DIGITS} digits, or its first ones, must be given; {len(found)} ids begin so.",
+            f"An id of {_ID_DIGITS} digits, or its first ones, must be given, or a name that ends in {_LEAST_BY_NAME} "
+            f"of them; {len(found)} ids begin so.",
             field="id",
             hint="`freerein jobs list` shows all.",
         )

@@ -98,8 +98,8 @@ def rate_warning(fps: float, trained: float) -> str:
     if not trained or fps == trained:
         return ""
     return (
-        f"The dataset has {fps:g} timesteps per second, and the model was trained on {trained:g}: import the "
-        f"recordings with --fps {trained:g}."
+        f"The dataset has {fps:g} timesteps per second, and the model was trained on {trained:g}: name another model, "
+        f"or import videos with --fps {trained:g}."
     )
 
 
