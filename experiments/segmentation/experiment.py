@@ -1,5 +1,6 @@
 """An experiment on segmentation: methods in their contexts, with several seeds, on the demonstrations of worlds."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,6 +40,9 @@ SHOWN_LABELS = "test.labels"
 
 _SHOWN = 4
 _LABELLED: tuple[SplitName, ...] = ("train", "validation")
+
+_MOST_WORSE = 1.02
+"""Loss of a whole fit in those of its trial from which the rate was too high for it."""
 
 Fitted = FitResult[SegmentationNetwork]
 WorkbenchLearner = SegmentationLearner | supervised.SupervisedLearner
@@ -119,7 +123,7 @@ class SegmentationExperiment(Experiment):
             return None if fitted is None else fitted.validation_loss
 
         config = study.fit_config(arm)
-        lrs: list[float] | None = [config.lr]
+        lrs: dict[float, float] | None = {config.lr: math.inf}
         if study.tries_learning_rates(arm):
             lrs = trials.rank_lrs(study, arm, fit_trial, results=results, work=work)
         if lrs is None:
@@ -149,11 +153,20 @@ class SegmentationExperiment(Experiment):
 
 def fit_in_turn(
     make_learner: Callable[[float], WorkbenchLearner],
-    lrs: Sequence[float],
+    lrs: Mapping[float, float],
     folder: Path,
     on_progress: Callable[[], None],
 ) -> tuple[WorkbenchLearner, Fitted | None]:
-    """Fits with the first learning rate with which training does not fail.
+    """Fits with the first learning rate with which training neither fails nor ends worse than the rate's trial did.
+
+    A trial is shorter: a rate may do for it, and be too high for the whole fit, which stays at its peak for longer.
+    Where all end worse, the fit of the lowest loss is taken.
+
+    Args:
+        make_learner: Returns the learner of a learning rate.
+        lrs: The learning rates, and the loss of each one's trial, which counts where the fit's compares with it.
+        folder: Of the fits.
+        on_progress: Called often.
 
     Returns:
         The learner, and what it found; None for the latter when the fit was stopped.
@@ -161,14 +174,22 @@ def fit_in_turn(
     Raises:
         TrainingFailed: Training fails with all.
     """
-    lr, *others = lrs
-    try:
-        learner = make_learner(lr)
-        return learner, _fit(learner, folder / f"lr-{lr:g}", on_progress)
-    except TrainingFailed:
-        if not others:
-            raise
-        return fit_in_turn(make_learner, others, folder, on_progress)
+    failed: TrainingFailed | None = None
+    worse: list[tuple[WorkbenchLearner, Fitted]] = []
+    for lr, trial_loss in lrs.items():
+        try:
+            learner = make_learner(lr)
+            fitted = _fit(learner, folder / f"lr-{lr:g}", on_progress)
+        except TrainingFailed as error:
+            failed = error
+            continue
+        most = _MOST_WORSE * trial_loss if trials.ends_with_tags(learner.config) else math.inf
+        if fitted is None or fitted.validation_loss <= most:
+            return learner, fitted
+        worse.append((learner, fitted))
+    if failed and not worse:
+        raise failed
+    return min(worse, key=lambda found: found[1].validation_loss)
 
 
 def _guess(study: Study, arm: Arm, data: Path) -> Outcome:

@@ -182,14 +182,15 @@ def _moved_claim(report: Report, study: Study, rows: Rows, row: Row) -> Claim:
 
 def _target_cells(target: Target, claim: Claim, rows: Rows) -> tuple[str, ...]:
     missing = target.missing(rows) + (["reduced scale"] if claim.scale == "reduced" else [])
-    gaps = ["" if gap is None else f"{gap:.2f}" for gap in target.gaps(rows)]
+    found = [] if target.least_gap_closed is None else target.gaps(rows)
+    gaps = ["" if gap is None else f"{gap:.2f}" for gap in found]
     return (
         target.claim,
         " ".join(filter(None, target.row(rows))),
         target.figure,
         _value_cell(claim),
         "" if claim.target is None else f"{claim.target:.2f}",
-        "; ".join(filter(None, (", ".join(gaps[:2]), ", ".join(gaps[2:4]), gaps[4]))) if any(gaps) else "",
+        "; ".join(filter(None, (", ".join(gaps[:2]), ", ".join(gaps[2:4]), *gaps[4:]))) if any(gaps) else "",
         "yes" if claim.met else "no",
         "; ".join(missing),
     )

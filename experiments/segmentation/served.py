@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from experiments.segmentation.study import Study
+from freerein.data import integer_fps
 from freerein.learning.model_files import save_model
 from freerein.learning.training_loop import FitResult
 from freerein_segmentation.methods import METHODS
 from freerein_segmentation.model import SegmentationNetwork
 from freerein_segmentation.training import SegmentationLearner
+from freerein_sim.worlds.tasks import tasks
 
 
 def save(
@@ -37,7 +39,11 @@ def save(
         "method": next(iter(METHODS.by_name)),
         "command": command,
         "task": study.world,
-        "data": {"trajectories": len(learner.training), "fingerprint": learner.fingerprint},
+        "data": {
+            "trajectories": len(learner.training),
+            "fingerprint": learner.fingerprint,
+            "fps": integer_fps(tasks()[study.world].spec.control_dt_s),
+        },
         "config": asdict(learner.config),
         "figures": {**fitted.figures, **figures},
         "supervision": "the set of skills of each trajectory",

@@ -109,11 +109,12 @@ class Target:
         return [*rows.gaps(self.row(rows), (self.figure, DECODED_TEST_ACCURACY)), moved_gap(rows, self.row(rows))]
 
     def _missing_of_gap(self, rows: Rows, least: float) -> Iterator[str]:
-        closed = [gap for gap in self.gaps(rows) if gap is not None]
-        if not closed:
-            yield "no gap between a baseline and full supervision"
-        elif min(closed) < least:
+        gaps = self.gaps(rows)
+        closed = [gap for gap in gaps if gap is not None]
+        if closed and min(closed) < least:
             yield f"gap closed {min(closed):.2f} is below {least:g}"
+        if unknown := len(gaps) - len(closed):
+            yield f"{unknown} of {len(gaps)} gaps not measured, or too small to be"
 
     def _missing_above(self, rows: Rows, other: Row) -> Iterator[str]:
         row = self.row(rows)

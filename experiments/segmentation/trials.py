@@ -40,8 +40,10 @@ _STEP = 3
 """A rate beyond those that were tried, relative to the nearest."""
 
 
-def rank_lrs(study: Study, arm: Arm, fit: Fit, *, results: Path, work: Path) -> list[float] | None:
-    """Returns the learning rates for an arm, without those whose trial failed, best first; None when one was stopped.
+def rank_lrs(study: Study, arm: Arm, fit: Fit, *, results: Path, work: Path) -> dict[float, float] | None:
+    """Returns the learning rates for an arm, best first, and the loss of each one's trial; None when one was stopped.
+
+    Rates whose trial failed are left out.
 
     Args:
         study: The arm's study.
@@ -97,9 +99,14 @@ def chosen_lr(arm: Arm, results: Path) -> float:
     return float(json.loads(path.read_bytes())["lr"])
 
 
-def _ranked(made: Mapping[str, Any]) -> list[float]:
-    losses = {float(lr): loss for lr, loss in made["validation_loss"].items() if loss is not None}
-    return sorted(losses, key=lambda lr: (lr != made["lr"], losses[lr]))
+def ends_with_tags(config: SegmentationConfig) -> bool:
+    """Returns whether the loss of a whole fit compares with that of its trial: there is no final objective."""
+    return _until_final(config, steps=config.steps) == config
+
+
+def _ranked(made: Mapping[str, Any]) -> dict[float, float]:
+    losses = {float(lr): float(loss) for lr, loss in made["validation_loss"].items() if loss is not None}
+    return {lr: losses[lr] for lr in sorted(losses, key=lambda lr: (lr != made["lr"], losses[lr]))}
 
 
 def _untried(losses: Mapping[float, float], first: Sequence[float]) -> list[float]:

@@ -222,8 +222,8 @@ def test_trials_choose_the_learning_rate_of_the_lowest_loss_once_for_all_seeds(t
     def choose(study: Study, seed: int) -> float:
         arm = Arm("grid", "lse", {"context": "causal"}, seed)
         ranked = trials.rank_lrs(study, arm, fit, results=tmp_path / "r", work=tmp_path / "w")
-        assert ranked == [0.001, 0.00033, 0.01, 0.1]
-        return ranked[0]
+        assert ranked == {lr: losses[lr] for lr in (0.001, 0.00033, 0.01, 0.1)}
+        return next(iter(ranked))
 
     assert [choose(STUDY, seed=1), choose(STUDY, seed=0)] == [0.001, 0.001]
     assert fitted == [(0.01, 2, 0), (0.001, 2, 0), (0.1, 2, 0), (0.00033, 2, 0)]  # until the best is between others
@@ -245,22 +245,30 @@ def test_a_rate_under_which_training_fails_is_tried_and_not_chosen(tmp_path: Pat
         return 1 / config.lr
 
     arm = Arm("grid", "lse", {"context": "causal"})
-    assert trials.rank_lrs(STUDY, arm, fit, results=tmp_path / "r", work=tmp_path / "w") == [0.01, 0.001]
+    assert trials.rank_lrs(STUDY, arm, fit, results=tmp_path / "r", work=tmp_path / "w") == {0.01: 100, 0.001: 1000}
     (made,) = (tmp_path / "r" / "trials").glob("*.json")
     assert json.loads(made.read_bytes())["validation_loss"] == {"0.001": 1000, "0.01": 100, "0.1": None}
 
 
-def test_where_training_fails_the_next_learning_rate_is_fitted(folder: Path, tmp_path: Path) -> None:
+def test_where_training_fails_or_ends_worse_than_its_trial_the_next_learning_rate_is_fitted(
+    folder: Path, tmp_path: Path
+) -> None:
     def make_learner(lr: float) -> WorkbenchLearner:
         if lr > 0.1:
             raise TrainingFailed("An image encoder is dead.")
         config = replace(CONFIG, lr=lr, steps=4, warmup_steps=1, evaluate_every=2, checkpoint_every=2, log_every=1)
         return weakly_supervised.make_learner(config, DATA, folder)
 
-    learner, fitted = fit_in_turn(make_learner, [0.5, 0.02], tmp_path, lambda: None)
-    assert (learner.config.lr, fitted is not None) == (0.02, True)
+    def chosen(lrs: dict[float, float]) -> float:
+        learner, fitted = fit_in_turn(make_learner, lrs, tmp_path, lambda: None)
+        assert fitted is not None
+        return learner.config.lr
+
+    assert chosen({0.5: math.inf, 0.02: math.inf, 0.01: math.inf}) == 0.02
+    assert chosen({0.5: math.inf, 0.02: 1e-6, 0.01: math.inf}) == 0.01
+    assert chosen({0.02: 1e-6, 0.01: 1e-6}) in (0.02, 0.01)
     with pytest.raises(TrainingFailed):
-        fit_in_turn(make_learner, [0.5], tmp_path, lambda: None)
+        fit_in_turn(make_learner, {0.5: math.inf}, tmp_path, lambda: None)
 
 
 def test_a_method_with_a_learning_rate_of_its_own_tries_none() -> None:
@@ -382,8 +390,8 @@ def test_a_gap_counts_from_the_best_baseline_and_decoded_where_that_is_less() ->
     ours = Row("ours", "all")
     gaps = with_decoded.gaps(ours, (TEST_ACCURACY, DECODED_TEST_ACCURACY))
     assert gaps == pytest.approx([0.75, 0.5, 0.22 / 0.3, 0.2])
-    (missing,) = Target("claim", "dial", (ours,), least_gap_closed=0.5).missing(with_decoded)
-    assert missing == "gap closed 0.20 is below 0.5"
+    missing = Target("claim", "dial", (ours,), least_gap_closed=0.5).missing(with_decoded)
+    assert missing == ["gap closed 0.20 is below 0.5", "1 of 5 gaps not measured, or too small to be"]
 
 
 def test_a_network_that_knows_no_more_of_the_tags_than_guessing_is_not_trained() -> None:
@@ -395,9 +403,8 @@ def test_a_network_that_knows_no_more_of_the_tags_than_guessing_is_not_trained()
 @pytest.mark.parametrize(
     ("target", "rows", "missing"),
     [
-        ({"least_gap_closed": 0.75}, rows_with(lse=0.6, ours=0.9, bound=1.0), ""),
-        ({"least_gap_closed": 0.75}, rows_with(lse=0.6, ours=0.8, bound=1.0), "gap closed 0.50"),
-        ({"least_gap_closed": 0.75}, rows_with(ours=0.9), "no gap"),
+        ({"least_gap_closed": 0.75}, rows_with(lse=0.6, ours=0.9, bound=1.0), "3 of 5 gaps not measured"),
+        ({"least_gap_closed": 0.75}, rows_with(ours=0.9), "5 of 5 gaps not measured"),
         ({"least": 99.95}, rows_with(ours=0.9994), "99.94 is below 99.95"),
         ({"above": 59.93}, rows_with(lse=0.55, ours=0.9), ""),
         ({"above": 59.93}, rows_with(lse=0.5, ours=0.9), "more than 5 points under"),

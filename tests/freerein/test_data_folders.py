@@ -47,7 +47,7 @@ def test_a_folder_of_images_for_each_trajectory_is_a_dataset_without_actions(tmp
 
     assert (source.names, dataset.spec.fps, dataset.spec.cameras) == (("take-2", "take-10"), 5, {"camera": (12, 16, 3)})
     assert (dataset.spec.skills, dataset.skills) == (("pour", "reach"), (("pour", "reach"), ()))
-    assert source.contents == "take-2 to take-10, one camera, actions of 2 numbers, 1 with tags, 5 timesteps a second"
+    assert source.contents == "take-2 to take-10, one camera, no actions, 1 with tags, 5 timesteps a second"
     assert [brightness(dataset, 0), brightness(dataset, 1)] == [list(range(11)), [3, 4]]
     assert (dataset[0].actions.shape, dataset.cached_actions()[1].shape) == ((11, 0), (2, 0))
     assert [each.where for each in check(tmp_path / "ours") if each.where == "actions"] == ["actions"]

@@ -1,7 +1,9 @@
 """Models on disk and in memory: a version never changes, and what is broken is never loaded."""
 
+import asyncio
 import json
 import shutil
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -322,3 +324,24 @@ async def test_a_model_that_is_no_longer_active_can_be_evicted(
         await models.activate_model(ActivateModelRequest("", ref.version))
     await models.resolve(refs[0])
     assert "".join(loader.loaded) == "abcdefa"
+
+
+async def test_a_load_whose_first_caller_gave_up_is_that_of_the_next(store: ModelStore, publish: Publish) -> None:
+    begun, may_end, loads = threading.Event(), threading.Event(), list[str]()
+
+    def load(folder: Path) -> str:
+        loads.append(folder.name)
+        begun.set()
+        assert may_end.wait(10)
+        return folder.name
+
+    ref, models = publish("a"), ModelCache(store, load, fit_command="freerein fit toy")
+    first = asyncio.create_task(models.resolve(ref))
+    assert await asyncio.to_thread(begun.wait, 10)
+    first.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await first
+    second = asyncio.create_task(models.resolve(ref))
+    may_end.set()
+    assert await second == (ref, ref.version)
+    assert loads == [ref.version]

@@ -76,6 +76,7 @@ async def test_under_tls_the_cookie_is_sent_under_tls_alone() -> None:
         (b"[]", "application/json", 422, "invalid_input"),
         (b'{"token": "x", "more": 1}', "application/json", 422, "invalid_input"),
         (b"{", "application/json", 400, "malformed_request"),
+        (b"[" * 5000, "application/json", 413, "too_large"),
         (b"token=correct-horse-battery", "application/x-www-form-urlencoded", 415, "unsupported_media"),
         (b'{"token": "correct-horse-battery"}', "text/plain", 415, "unsupported_media"),
     ],

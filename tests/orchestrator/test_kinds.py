@@ -13,6 +13,7 @@ from freerein_orchestrator.kinds.config_schemas import run_config_schema
 from freerein_orchestrator.kinds.policy_store import PolicyStore
 
 TOLD = "8" * 32
+MIX = {"task": "grid", "dataset": "play", "behaviour": "mix", "parts": [{"policy": TOLD}, {"policy": "random"}]}
 
 FIT = {"service": "imitation", "dataset": "play", "config": {"steps": 30}}
 CONFIGS: dict[str, tuple[dict[str, Any], int]] = {
@@ -64,6 +65,8 @@ def test_a_configuration_survives_json_and_says_how_many_steps_there_are(kind: s
         ("ppo", {"task": "grid", "resume_from": TOLD}, "told the truth"),
         ("ppo", {"task": "grid", "init_from": "deleted"}, ""),
         ("distill", {"teachers": ["deleted", TOLD]}, "told the truth"),
+        ("collect", MIX, "told the truth"),
+        ("zsrm", {"task": "grid", "policy": {"init_from": TOLD}}, "told the truth"),
     ],
 )
 def test_a_run_says_what_of_the_truth_it_is_told_in_a_pipeline_too(
@@ -76,7 +79,7 @@ def test_a_run_says_what_of_the_truth_it_is_told_in_a_pipeline_too(
     told = chosen.truth(chosen.dump(chosen.parse(values)), store)
     assert (words in told, bool(told)) == (True, bool(words))
     steps = {"steps": [{"name": "one", "kind": kind, "config": values}]}
-    if kind != "skills":
+    if kind not in ("skills", "zsrm"):  # which are pipelines themselves
         assert KINDS["pipeline"].truth(steps, store) == told
 
 

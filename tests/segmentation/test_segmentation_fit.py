@@ -86,8 +86,8 @@ def test_a_batch_that_takes_too_much_memory_is_refused_by_check_and_fit_with_wha
         METHODS.resolve(tmp_path, "large", {}, threads=1)
     assert (error.severity, error.sentence, error.hint) == ("error", refused.value.detail, refused.value.hint)
     assert error.hint == (
-        "Import smaller frames: freerein dataset import FOLDER large --replace --size 96x96. "
-        "Or smaller batches: freerein fit segmentation large --set batch_size=1."
+        "Import smaller frames: `freerein dataset import FOLDER large --replace --size 96x96`. "
+        "Or smaller batches: `freerein fit segmentation large --set batch_size=1`."
     )
     assert METHODS.resolve(tmp_path, "large", {"batch_size": 1}, threads=1)
     assert METHODS.resolve(tmp_path, "large", {"stride": 2}, threads=1)

@@ -22,6 +22,9 @@ from freerein_segmentation.methods import METHODS
 
 NAME = "segmentation"
 
+_BATCH = 1
+"""Trajectories are answered one by one: none of a batch would be answered before the last of it is computed."""
+
 
 def build(
     settings: LearnedSettings,
@@ -35,7 +38,7 @@ def build(
     """Returns the service; `load` loads the model of a folder onto a device."""
     choose_device(settings.device)  # a missing one ends the start, also where there is no model yet
     torch.set_num_threads(1)  # more would compete with the fit
-    batcher = Batcher(run_batch, queue=settings.queue, batch=limits.batch, metrics=metrics, call_s=limits.unary_s)
+    batcher = Batcher(run_batch, queue=settings.queue, batch=_BATCH, metrics=metrics, call_s=limits.unary_s)
     return learned_service(
         NAME,
         segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"],

@@ -120,7 +120,7 @@ class AttemptRunner:
         """Returns a new child process; `held` has the lock of the job's folder from then on, and the child's stdin."""
         folder = self._store.folder(job_id)
         lock = held.enter_context(locked(folder, should_stop))
-        if lock is None:
+        if lock is None or should_stop():
             raise AttemptStopped
         for name in (CANCELLED_FILE, WAITING_FILE):
             (folder / name).unlink(missing_ok=True)
@@ -128,7 +128,7 @@ class AttemptRunner:
             self._store.record(job_id, "running")
         stdin, held_open = os.pipe()
         held.callback(os.close, held_open)
-        with (folder / "log.txt").open("ab") as log, os.fdopen(stdin):
+        with os.fdopen(stdin), (folder / "log.txt").open("ab") as log:
             program = Program(
                 self._module,
                 (str(folder), *self._arguments),

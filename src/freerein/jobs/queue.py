@@ -136,7 +136,7 @@ class LocalQueue:
                 self._record(job_id, "failed", error=INTERNAL_ERROR)
 
     def _run(self, job_id: str) -> None:
-        result = retry(partial(self._runner.run, job_id, lambda: self._request))
+        result = retry(partial(self._runner.run, job_id, lambda: self._stop_request(job_id)))
         if self._closing or self._store.last(job_id).ended:  # or cancelled meanwhile
             return
         if result.outcome == "succeeded":
@@ -147,6 +147,10 @@ class LocalQueue:
                 self._is_decided = True
             activate()
         self._record(job_id, "succeeded" if result.outcome == "succeeded" else "failed", error=result.error)
+
+    def _stop_request(self, job_id: str) -> StopRequest:
+        """Returns why a job must stop; another service of this data directory may have cancelled or finished it."""
+        return self._request or ("cancel" if self._store.last(job_id).ended else "")
 
     def _next(self) -> str:
         """Returns the next job, once there is one; empty when the queue closes."""

@@ -52,6 +52,7 @@ class ModelCache(Generic[M]):
         self._check_unused = check_unused
         self._loaded: OrderedDict[ModelRef, M] = OrderedDict()
         self._loading = asyncio.Lock()
+        self._loads: dict[ModelRef, asyncio.Task[M]] = {}
         self._started = False
 
     async def start(self) -> None:
@@ -143,14 +144,25 @@ class ModelCache(Generic[M]):
         return DeleteModelResponse(refs)
 
     async def _get(self, ref: ModelRef) -> M:
-        if ref not in self._loaded:
-            async with self._loading:
-                if ref not in self._loaded:
-                    self._loaded[ref] = await asyncio.to_thread(lambda: self._load(self._store.folder(ref)))
-                self._loaded.move_to_end(ref)
-                self._evict()
-        self._loaded.move_to_end(ref)
-        return self._loaded[ref]
+        """Returns a model. It is loaded once for all callers, also where the first of them gives up meanwhile."""
+        if ref in self._loaded:
+            self._loaded.move_to_end(ref)
+            return self._loaded[ref]
+        if ref not in self._loads:
+            self._loads[ref] = asyncio.create_task(self._load_into_memory(ref))
+            self._loads[ref].add_done_callback(lambda done: self._end_load(ref, done))
+        return await asyncio.shield(self._loads[ref])
+
+    async def _load_into_memory(self, ref: ModelRef) -> M:
+        async with self._loading:
+            self._loaded[ref] = model = await asyncio.to_thread(lambda: self._load(self._store.folder(ref)))
+            self._evict()
+            return model
+
+    def _end_load(self, ref: ModelRef, done: "asyncio.Task[M]") -> None:
+        del self._loads[ref]
+        if not done.cancelled():
+            done.exception()  # callers that still wait have it; there may be none
 
     def _hint(self) -> str:
         """Returns how to name an active model, where there are some, or to fit one."""

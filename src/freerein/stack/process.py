@@ -145,11 +145,12 @@ class ServiceProcess:
             return await process.wait()
         except asyncio.CancelledError:
             watch.cancel()
-            await _drain(process)
+            delay_s = float(self._command.environ.get("FREEREIN_DRAIN_DELAY_S") or 0)
+            await _drain(process, timeout_s=DRAIN_S + delay_s)
             raise
         finally:
             watch.cancel()
-            _kill_group(process.pid)  # its workers and training processes; the next process starts its own
+            _kill_group(process.pid)  # what it started and did not put into a group of its own
 
     async def _watch_readiness(self) -> None:
         while True:
@@ -198,12 +199,12 @@ class ServiceProcess:
             self._on_change()
 
 
-async def _drain(process: asyncio.subprocess.Process) -> None:
-    """Terminates a process; kills it after `DRAIN_S`."""
+async def _drain(process: asyncio.subprocess.Process, *, timeout_s: float) -> None:
+    """Terminates a process; kills it after a while, in seconds."""
     with contextlib.suppress(ProcessLookupError):
         process.terminate()
     try:
-        await asyncio.wait_for(process.wait(), DRAIN_S)
+        await asyncio.wait_for(process.wait(), timeout_s)
     except TimeoutError:
         _kill_group(process.pid)
         await process.wait()

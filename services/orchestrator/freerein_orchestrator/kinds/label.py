@@ -84,12 +84,19 @@ def run(context: RunContext, config: LabelConfig) -> None:
     asked = ModelRef(**saved["model"]) if saved else ModelRef(config.model, config.version)
     model = retry.call(lambda: segmentation.list_skills(ListSkillsRequest(asked)))
     camera = choose_camera(dataset, config.camera, of_model=model.camera, field="config.camera")
+
+    def segment(index: int) -> SegmentResponse:
+        request = _request(config, model, dataset[index], camera)
+        answer: SegmentResponse = retry.call(partial(segmentation.segment, request))
+        return answer
+
+    if saved is None:
+        segment(0)  # a model that takes no such frames leaves the labels that are there
     with LabelsWriter(root, name=context.key) as writer:
         first = saved["labelled"] if writer.goes_on and saved else 0
         metrics = context.metrics_logger(first, group="label")
         for index in range(first, len(dataset)):
-            request = _request(config, model, dataset[index], camera)
-            answer: SegmentResponse = retry.call(partial(segmentation.segment, request))
+            answer = segment(index)
             writer.save(index, moved(answer.labels, config.earlier))
             write_atomic(path, json.dumps({"model": asdict(model.model), "labelled": index + 1}).encode())
             metrics.append(index + 1, _metrics(answer))
@@ -99,6 +106,7 @@ def run(context: RunContext, config: LabelConfig) -> None:
         "trajectories": len(dataset),
         "skills": model.skills,
         "model": asdict(model.model),
+        "fps": {"dataset": dataset.spec.fps, "model": model.fps or None},
     }
     write_atomic(context.artifacts / CARD, json.dumps(card, indent=2).encode() + b"\n")
 

@@ -67,7 +67,7 @@ class PPOConfig:
         explorations: Short sequences of random actions in each environment that an object encoder is fitted to; unused
             without one.
         augmentation: Strength of the augmentation of their frames, by light and things that come and go; 0 for none.
-        seed: Seed of the learner; environments have their own.
+        seed: Seed of the learner and of the environments.
         threads: Torch threads on the CPU.
 
     Raises:

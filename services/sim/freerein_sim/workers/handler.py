@@ -26,13 +26,14 @@ class RequestHandler:
     def __init__(self, tasks: Mapping[str, TaskDefinition]) -> None:
         self._tasks = tasks
         self._sessions: dict[str, VectorEnv] = {}
-        self._demonstration_worlds: dict[str, tuple[list[str], World]] = {}  # by task: the last
+        self._demonstrated: tuple[str, list[str]] = ("", [])  # task and conditions of the last demonstration
+        self._demonstration_world: World | None = None
 
     def reply(self, header: protocol.Header, body: bytearray) -> tuple[bytes, bytes]:
         """Returns the framed response to a framed request, or its refusal.
 
         A bug in one world must not harm the others: any other exception, or a response that cannot be sent, closes the
-        session, or the world of the task's demonstrations, and is answered by `Internal`. So does a world whose own
+        session, or the world of demonstrations, and is answered by `Internal`. So does a world whose own
         process has ended, by `WorkerLost`.
         """
         request: object = None
@@ -54,8 +55,7 @@ class RequestHandler:
         """Frees every world."""
         for envs in self._sessions.values():
             envs.close()
-        for _, world in self._demonstration_worlds.values():
-            world.close()
+        self._close_demonstration_world()
 
     def handle(self, request: object) -> object:
         """Returns the response to a request of `protocol.CALLS`. Raises ServiceError where it is refused."""
@@ -95,7 +95,7 @@ class RequestHandler:
 
     def _demonstrate(self, request: sim.DemonstrateRequest) -> sim.DemonstrateResponse:
         """Returns one trajectory. The service has checked its size for episodes of the nominal length only."""
-        world = self._demonstration_world(request)
+        world = self._world_of(request)
         cameras, images = request.cameras or (world.spec.cameras[0].name,), world.spec.max_episode_steps
         task = self._tasks[request.task]
         protocol.check_frames(task.describe(), cameras, height=request.height, width=request.width, images=images)
@@ -110,17 +110,19 @@ class RequestHandler:
                 spec = world.spec
         return demonstrations.draw_recipes(task, spec, request)
 
-    def _demonstration_world(self, request: sim.DemonstrateRequest) -> World:
-        """Returns the world of the task's last demonstration, or a new one where that had other conditions."""
-        conditions = sorted(request.conditions)
-        before, world = self._demonstration_worlds.get(request.task, (None, None))
-        if world is not None and before == conditions:
-            return world
-        made = build(self._tasks[request.task], conditions)
+    def _world_of(self, request: sim.DemonstrateRequest) -> World:
+        """Returns the world of the last demonstration, or a new one where that was of another task or conditions."""
+        asked = request.task, sorted(request.conditions)
+        if self._demonstration_world is None or self._demonstrated != asked:
+            made = build(self._tasks[request.task], asked[1])
+            self._close_demonstration_world()
+            self._demonstrated, self._demonstration_world = asked, made
+        return self._demonstration_world
+
+    def _close_demonstration_world(self) -> None:
+        world, self._demonstration_world = self._demonstration_world, None
         if world is not None:
             world.close()
-        self._demonstration_worlds[request.task] = conditions, made
-        return made
 
     def _envs(self, session: str) -> VectorEnv:
         if (envs := self._sessions.get(session)) is None:
@@ -128,12 +130,10 @@ class RequestHandler:
         return envs
 
     def _abandon(self, request: object) -> None:
-        """Closes what a request failed in: its session, or the world of its task's demonstrations."""
+        """Closes what a request failed in: its session, or the world of demonstrations."""
         try:
             if isinstance(request, sim.DemonstrateRequest):
-                _, world = self._demonstration_worlds.pop(request.task, (None, None))
-                if world is not None:
-                    world.close()
+                self._close_demonstration_world()
             self._discard(getattr(request, "session", ""))
         except Exception:
             _LOG.exception("a world that failed cannot be closed either")

@@ -48,7 +48,8 @@ def show(fit_id: str, *, as_json: bool) -> None:
     fit = call(FitClient, "segmentation", lambda client: client.get_fit(GetFitRequest(fit_id))).fit
     check_succeeded(f"fit {short(fit_id)}", fit)
     card, root = card_of("segmentation", fit), dataset_path(CliSettings().data_dir, fit.dataset)
-    items = truth.labelled(root)  # empty where the dataset is not on this machine
+    labelled = truth.labelled(root)  # empty where the dataset is not on this machine
+    items = [index for index in labelled if np.any(truth.labels(root, index) != NO_SKILL)]
     accuracy = None
     if items:
         accuracy = call(SegmentationClient, "segmentation", lambda client: labelled_accuracy(client, fit, root, items))

@@ -10,15 +10,24 @@ from typing import Any
 
 import orjson
 from starlette.datastructures import Headers
-from starlette.requests import Request, cookie_parser
+from starlette.requests import ClientDisconnect, Request, cookie_parser
 from starlette.responses import Response
 from starlette.routing import Route
 
-from freerein.errors import InvalidInput, MalformedRequest, Unauthenticated, UnsupportedMedia, quoted
+from freerein.errors import (
+    Cancelled,
+    InvalidInput,
+    MalformedRequest,
+    TooLarge,
+    Unauthenticated,
+    UnsupportedMedia,
+    quoted,
+)
 
 PATH = "/session"
 _COOKIE = "freerein_session"
 _LABEL = b"freerein session"
+_MOST_BYTES = 4096
 
 
 class Session:
@@ -66,7 +75,7 @@ async def _given_token(request: Request) -> str:
             f"The body must be application/json; got {quoted(media_type)}.", hint='Send {"token": "..."}.'
         )
     try:
-        document = orjson.loads(await request.body())
+        document = orjson.loads(await _body(request))
     except orjson.JSONDecodeError as error:
         raise MalformedRequest(f"The body must be JSON; {error}.", hint='Send {"token": "..."}.') from None
     token = document.get("token") if isinstance(document, dict) else None
@@ -77,6 +86,19 @@ async def _given_token(request: Request) -> str:
             hint='Send {"token": "..."}.',
         )
     return token
+
+
+async def _body(request: Request) -> bytes:
+    """Returns the body; it is read before any token was checked, and so is small."""
+    body = b""
+    try:
+        async for part in request.stream():
+            body += part
+            if len(body) > _MOST_BYTES:
+                raise TooLarge(f"The body must have at most {_MOST_BYTES} bytes.", hint='Send {"token": "..."}.')
+    except ClientDisconnect:
+        raise Cancelled("The client disconnected before the body was complete.") from None
+    return body
 
 
 def _described(document: Any) -> str:

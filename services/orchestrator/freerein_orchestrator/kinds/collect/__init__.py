@@ -5,7 +5,7 @@
 """
 
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from functools import partial
 from typing import Any
 
@@ -66,11 +66,18 @@ def check(config: CollectConfig, store: PolicyStore, earlier: Collection[str]) -
             store.folder(part.policy, field=PARTS_FIELD)
 
 
+def truth(config: Mapping[str, Any], store: PolicyStore) -> str:
+    """Returns the supervision of the privileged policies of a mix; empty for none."""
+    found = (store.privileged_supervision(str(part["policy"])) for part in config.get("parts", ()))
+    return "; ".join(filter(None, dict.fromkeys(found)))
+
+
 KIND = Kind(
     {"": CollectConfig},
     partial(parse, CollectConfig),
     steps=lambda config: config.count,
     run=run,
     check=check,
+    truth=truth,
     meaning="Records a scripted or a curious behaviour, or a mix of policies, in a task as a dataset.",
 )

@@ -26,6 +26,9 @@ Frames = npt.NDArray[np.uint8]
 _MOST_WIDE = 320
 """Pixels of the widest frames that worlds render, unless they say otherwise."""
 
+_HELD_OUT = 1_000_000
+"""Seed of evaluations. That of a dataset is 0, and demonstration i of a task depends on the seed and i alone."""
+
 FILMED = "filmed"
 """Name of a trial's actions that its policy's film replays."""
 
@@ -39,7 +42,7 @@ class FormConfig:
         task: The task's name.
         episodes: Number of trials: of episodes, or of demonstrations.
         num_envs: Trials per round; a killed evaluation continues after the last whole round.
-        seed: Seed of every random draw.
+        seed: Seed of every random draw; by default one that no other kind of run has, so that trials are new ones.
         conditions: Conditions of the task, named variations; empty for the nominal task.
     """
 
@@ -47,7 +50,7 @@ class FormConfig:
     task: str
     episodes: int = bounded(50, least=1, most=100_000)
     num_envs: int = bounded(10, least=1, most=64)
-    seed: int = bounded(0, least=0, most=2**31 - 1)
+    seed: int = bounded(_HELD_OUT, least=0, most=2**31 - 1)
     conditions: tuple[str, ...] = ()
 
 

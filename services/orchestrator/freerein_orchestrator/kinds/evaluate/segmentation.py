@@ -79,6 +79,7 @@ class SegmentationEvaluation:
         self._model = self._service.list_skills(ListSkillsRequest(ModelRef(**asked)))
         known = [task.skills.index(skill) if skill in task.skills else NO_SKILL for skill in self._model.skills]
         self._labels = np.array([*known, NO_SKILL])  # of the task, by the model's labels; the last is of NO_SKILL
+        self._camera = next((each for each in task.cameras if each.name == self._model.camera), task.cameras[0])
         self.subject: dict[str, Any] = {"model": asdict(self._model.model)}
 
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
@@ -104,6 +105,7 @@ class SegmentationEvaluation:
             height=height,
             width=width,
             privileged=True,
+            cameras=(self._camera.name,),
             conditions=config.conditions,
         )
         with closing(self._setup.sim.demonstrate(request)) as demonstrations:
@@ -172,7 +174,7 @@ class SegmentationEvaluation:
             (frames,) = demonstration.trajectory.frames.values()
             return frames
 
-        return enlarged(self._setup.task.cameras[0], (self._model.height, self._model.width), recorded)
+        return enlarged(self._camera, (self._model.height, self._model.width), recorded)
 
 
 def _counts(values: dict[str, Any], skills: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
