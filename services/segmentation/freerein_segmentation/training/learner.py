@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TypeAlias
 
 import torch
@@ -118,7 +117,7 @@ class SegmentationLearner(Learner[SegmentationNetwork]):
         """
         _, stage = stage_at(self.stages(), max(0, state.step - 1))
         losses = []
-        for batch, others in zip(self._validation_batches(), self._other_views, strict=True):
+        for batch, others in zip(self._validation_batches(), self._other_views(), strict=True):
             for seen in (batch, *others):
                 scores, mask = state.network(seen.frames, seen.actions, seen.lengths, context=stage.context)
                 losses.append(stage.objective(scores, mask, seen.tags))
@@ -196,14 +195,11 @@ class SegmentationLearner(Learner[SegmentationNetwork]):
         phases = torch.randint(self.spec.stride, (len(items),), generator=generator).tolist()
         return gather(self.training, items, phases, spec=self.spec, device=self.device)
 
-    @cached_property
-    def _other_views(self) -> Sequence[tuple[TrajectoryBatch, ...]]:
-        """Augmented views of each batch of held-out trajectories, the same at every evaluation; none without any."""
+    def _other_views(self) -> Iterator[tuple[TrajectoryBatch, ...]]:
+        """Yields augmented views of each batch of held-out trajectories, the same at every evaluation; none without."""
         generator, strength = torch.Generator().manual_seed(self.config.seed), self.config.augmentation
-        return [
-            (batch.augmented(strength, generator=generator),) if strength else ()
-            for batch in self._validation_batches()
-        ]
+        for batch in self._validation_batches():
+            yield (batch.augmented(strength, generator=generator),) if strength else ()
 
     def _validation_batches(self) -> Iterator[TrajectoryBatch]:
         for start in range(0, len(self.validation), self.config.batch_size):

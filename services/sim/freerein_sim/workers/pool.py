@@ -54,11 +54,18 @@ class WorkerPool:
     async def place(self, num_envs: int) -> Worker:
         """Returns the worker with the least load and adds `num_envs` to it; the caller subtracts it again.
 
-        Raises WorkerLost if a worker died and cannot be restarted.
+        Raises WorkerLost if all workers died and cannot be restarted.
         """
-        worker = await min(self._slots, key=lambda slot: slot.load).fill()
-        worker.load += num_envs
-        return worker
+        lost = worker_lost()
+        for slot in sorted(self._slots, key=lambda slot: slot.load):
+            try:
+                worker = await slot.fill()
+            except WorkerLost as error:
+                lost = error
+                continue
+            worker.load += num_envs
+            return worker
+        raise lost
 
     async def demonstrate(self, request: DemonstrateRequest) -> DemonstrateResponse:
         """Returns trajectory `first` of the request, as `Worker.call`; cancelling a queued call drops it."""

@@ -36,7 +36,7 @@ JOB = id_of(_KEY)
 _FILE, _DATASET = "frame.png", "demos"
 _SHIPPED = {
     "imitation": ModelRef("default", "d83bb442a837"),
-    "segmentation": ModelRef("grid", "55e08f463cf0"),
+    "segmentation": ModelRef("grid", "e31aecd90a70"),
     "reward": ModelRef("default", "56711e7312df"),
 }
 _FIT: dict[str, dict[str, Any]] = {"reward": {"phrases": ["a red block", "a blue block"]}}
