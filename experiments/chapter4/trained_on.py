@@ -21,6 +21,7 @@ RETURN, POINTS = "return", "points"
 
 _PPO, _RETURNS = "ppo", "returns"
 _EPISODES, _IMAGES, _SUCCESSES = 100, 1000, 100
+_SETTLE = 2
 _TICKS = 200_000
 _PUCK_WIDTH = 0.095
 """Of a frame of the front camera, which looks down at the table: it is the front view, and the tilted one."""
@@ -84,7 +85,7 @@ def samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
 def _examples(arm: Arm) -> Iterator[Step]:
     """Yields what a reward learns from before the training."""
     if arm.method == VICE:
-        yield step("won", "collect", dataset="won", task=arm.world, count=_SUCCESSES, seed=arm.seed)
+        yield step("won", "collect", dataset="won", task=arm.world, count=_SUCCESSES, seed=arm.seed, settle=_SETTLE)
     if arm.world == PUSH and arm.method == LEARNED:
         images = {"behaviour": "random", "count": _IMAGES, "cameras": ["front"], "seed": arm.seed}
         yield step("images", "collect", dataset="images", task="push.scatter", **images)

@@ -184,6 +184,22 @@ def test_the_expert_pushes_the_first_puck_close_to_the_second_from_any_start() -
             assert np.linalg.norm(blue - yellow) < CLOSE_M
 
 
+def test_an_expert_that_settles_is_seen_where_it_is_done() -> None:
+    with closing(begin("push")) as world:
+        short, long = (
+            record_expert(world, (), np.random.default_rng(0), cameras=world.spec.cameras[:1], settle=settle)
+            for settle in (0, 2)
+        )
+        count = len(short.actions)
+        assert len(long.actions) == len(long.labels) == count + 2
+        np.testing.assert_array_equal(long.actions[:count], short.actions)
+        np.testing.assert_array_equal(long.actions[count:], np.zeros((2, 2), np.float32))
+        assert long.success
+        camera = world.spec.cameras[0].name
+        np.testing.assert_array_equal(long.frames[camera][:count], short.frames[camera])
+        assert world.truth().success
+
+
 def test_the_expert_goes_around_a_puck_that_has_slipped_aside() -> None:
     with closing(begin("push")) as world:
         for seed in range(6):

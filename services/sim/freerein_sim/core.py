@@ -27,6 +27,7 @@ from freerein_sim.workers.protocol import check_frames
 from freerein_sim.workers.worker import worker_lost
 
 MAX_COUNT = 100_000
+MAX_SETTLE = 1_000
 MAX_RECIPES = 10_000
 _REAP_EVERY_S = 1.0
 _DRAIN_S = 0.5
@@ -164,6 +165,10 @@ class SimCore:
         if not (1 <= request.count <= MAX_COUNT and request.first <= request.count):
             got = f"{request.count}, {request.first}"
             raise must_be("count", f"1 to {MAX_COUNT} and `first` at most `count`", got)
+        can_settle = request.behaviour == "expert" and not (task.action.choices and task.action.hold < 0)
+        if request.settle > (MAX_SETTLE if can_settle else 0):
+            rule = f"at most {MAX_SETTLE}, of the expert, in a task with an action that holds"
+            raise must_be("settle", rule, f"{request.settle} of {request.behaviour}", hint="Leave it out.")
         cameras = request.cameras or (task.cameras[0].name,)
         check_frames(task, cameras, height=request.height, width=request.width, images=task.max_episode_steps)
         making: deque[asyncio.Task[sim.DemonstrateResponse]] = deque()

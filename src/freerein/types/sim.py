@@ -282,11 +282,10 @@ class DemonstrateRequest:
     """Records trajectories of a scripted policy.
 
     Attributes:
-        skills: Skills to choose from; empty for all of the task.
-        min_skills, max_skills: Fewest and most different skills in one trajectory; 0 means those of the task's recipes.
+        skills, min_skills, max_skills: To choose from, empty for all; fewest and most in one, 0 for those of recipes.
         count, seed: Trajectory i is drawn from SeedSequence(seed).spawn(count)[i].
         first, cameras: Index of the first trajectory to send; cameras to record, empty for the task's first.
-        height, width: Frame size in pixels; 0 means the camera's own.
+        height, width, settle: Frame size in pixels, 0 for the camera's own; timesteps that the expert holds when done.
         privileged, conditions: Whether replies include `labels`, for evaluation only; as of `CreateSessionRequest`.
     """
 
@@ -303,6 +302,7 @@ class DemonstrateRequest:
     width: int = 0
     privileged: bool = False
     conditions: tuple[str, ...] = ()
+    settle: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,6 +60,8 @@ def fit(network: SuccessClassifier, successes: Tensor, failures: Tensor, generat
 def examples(dataset: Dataset, cameras: Sequence[Camera]) -> tuple[Tensor, Tensor]:
     """Returns frames of success and of failure, those of all cameras on the channels, uint8 (N, H, W, C) each.
 
+    The last frame of a trajectory is taken for success: one that was recorded with `settle` shows it.
+
     Raises:
         InvalidInput: The dataset lacks a camera, or has no trajectory of two timesteps.
     """

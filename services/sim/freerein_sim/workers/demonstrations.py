@@ -28,7 +28,7 @@ def make_demonstration(task: TaskDefinition, world: World, request: DemonstrateR
     rng = _generator(request.seed, request.first)
     for _ in range(_MAX_TRIES):
         recipe = task.recipes.draw(rng, skills, fewest=fewest, most=most) if request.behaviour == "expert" else None
-        made = _act(task, world, recipe, views, rng)
+        made = _act(task, world, recipe, views, rng, settle=request.settle)
         if made.success:
             return _response(world.spec, request, made)
     raise FailedPrecondition(
@@ -53,11 +53,17 @@ def _generator(seed: int, index: int) -> np.random.Generator:
 
 
 def _act(
-    task: TaskDefinition, world: World, recipe: Sequence[str] | None, views: Sequence[Camera], rng: np.random.Generator
+    task: TaskDefinition,
+    world: World,
+    recipe: Sequence[str] | None,
+    views: Sequence[Camera],
+    rng: np.random.Generator,
+    *,
+    settle: int,
 ) -> RecordedEpisode:
     """Records the expert at a recipe, or the task's explorer where there is none."""
     if recipe is not None:
-        return record_expert(world, recipe, rng, cameras=views)
+        return record_expert(world, recipe, rng, cameras=views, settle=settle)
     world.reset(rng)
     explorer = explorer_of(task, world, rng)
     return record_episode(world, explorer, cameras=views, max_steps=world.spec.max_episode_steps)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freerein.types.common import Camera
-from freerein_sim.worlds.world import Action, Frame, ScriptedPolicy, World, expert_of
+from freerein_sim.worlds.world import Action, Frame, LabelledAction, ScriptedPolicy, World, expert_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,24 +31,27 @@ class RecordedEpisode:
 
 
 def record_expert(
-    world: World, recipe: Sequence[str], rng: np.random.Generator, *, cameras: Sequence[Camera] = ()
+    world: World, recipe: Sequence[str], rng: np.random.Generator, *, cameras: Sequence[Camera] = (), settle: int = 0
 ) -> RecordedEpisode:
     """Resets a world, and records its expert at a recipe; an empty one means the world's own."""
     world.reset(rng, recipe=recipe)
     expert = expert_of(world)(recipe, rng)
-    return record_episode(world, expert, cameras=cameras, max_steps=world.spec.max_episode_steps)
+    return record_episode(world, expert, cameras=cameras, max_steps=world.spec.max_episode_steps, settle=settle)
 
 
 def record_episode(
-    world: World, policy: ScriptedPolicy, *, cameras: Sequence[Camera], max_steps: int
+    world: World, policy: ScriptedPolicy, *, cameras: Sequence[Camera], max_steps: int, settle: int = 0
 ) -> RecordedEpisode:
     """Runs a policy from the current state until it finishes, the episode terminates or `max_steps` is reached.
+
+    A frame is what was seen before an action: without `settle` none shows what the last action came to.
 
     Args:
         world: Already reset.
         policy: Chooses the actions.
         cameras: Cameras to record, with the frame size.
         max_steps: Greatest number of timesteps.
+        settle: Timesteps for which it goes on once the policy has finished, holding, with the last skill's label.
     """
     action = world.spec.action
     frames: dict[Camera, list[Frame]] = {camera: [] for camera in cameras}
@@ -56,7 +59,11 @@ def record_episode(
     labels: list[int] = []
     terminated: list[bool] = []
     diverged = False
-    while len(actions) < max_steps and (chosen := policy.act()) is not None:
+    while len(actions) < max_steps:
+        if (chosen := policy.act()) is None:
+            if not settle or not labels:
+                break
+            settle, chosen = settle - 1, LabelledAction(action.hold_action(), labels[-1])
         for camera, seen in frames.items():
             seen.append(world.render(camera.name, height=camera.height, width=camera.width))
         actions.append(chosen.action)

@@ -50,6 +50,8 @@ class CollectConfig:
         skills: The skills that the expert chooses from; empty for all of the task.
         min_skills: Fewest different skills per trajectory; 0 means the fewest of a recipe of the task.
         max_skills: Most different skills per trajectory; 0 means as many of `skills` as a recipe may have.
+        settle: Timesteps for which a trajectory of the expert goes on once it is done, holding: else no frame shows
+            what its last action came to.
         cameras: The cameras to record; empty for the task's first.
         height: Frame height in pixels; 0 means the camera's own.
         width: Frame width in pixels; 0 means the camera's own.
@@ -70,6 +72,7 @@ class CollectConfig:
     skills: tuple[str, ...] = ()
     min_skills: int = bounded(0, least=0, most=1000)
     max_skills: int = bounded(0, least=0, most=1000)
+    settle: int = bounded(0, least=0, most=1000)
     cameras: tuple[str, ...] = ()
     height: int = bounded(0, least=0, most=1024)
     width: int = bounded(0, least=0, most=1024)
@@ -89,10 +92,10 @@ class CollectConfig:
         object.__setattr__(self, "parts", tuple(map(asdict, self.mix)))  # defaults filled in
         for part in self.mix:
             check_name(part.policy, field=PARTS_FIELD)
-        if self.behaviour != "expert" and (self.skills or self.min_skills or self.max_skills):
+        if self.behaviour != "expert" and (self.skills or self.min_skills or self.max_skills or self.settle):
             raise InvalidInput(
-                f"Only the expert executes skills; `skills`, `min_skills` and `max_skills` must be left out where the "
-                f"behaviour is {self.behaviour}.",
+                f"Only the expert executes skills; `skills`, `min_skills`, `max_skills` and `settle` must be left out "
+                f"where the behaviour is {self.behaviour}.",
                 field="config.skills",
                 hint="Leave them out, or ask for the expert.",
             )

@@ -74,6 +74,7 @@ def _request(config: CollectConfig, behaviour: Behaviour) -> DemonstrateRequest:
         height=config.height,
         width=config.width,
         conditions=config.conditions,
+        settle=config.settle,
     )
 
 

@@ -915,6 +915,7 @@ class DemonstrateRequest(_message.Message):
     WIDTH_FIELD_NUMBER: _builtins.int
     PRIVILEGED_FIELD_NUMBER: _builtins.int
     CONDITIONS_FIELD_NUMBER: _builtins.int
+    SETTLE_FIELD_NUMBER: _builtins.int
     task: _builtins.str
     """Task name."""
     behaviour: Global___DemonstrateRequest.Behaviour.ValueType
@@ -935,6 +936,10 @@ class DemonstrateRequest(_message.Message):
     """Frame width in pixels; 0 means the camera's own. At most 320."""
     privileged: _builtins.bool
     """Whether replies include `labels`. For evaluation only."""
+    settle: _builtins.int
+    """Timesteps for which a trajectory of the expert goes on once it is done, holding, so that its last frames show what
+    was reached. At most 1000.
+    """
     @_builtins.property
     def skills(self) -> _containers.RepeatedScalarFieldContainer[_builtins.str]:
         """Skills to choose from; empty for all of the task."""
@@ -963,10 +968,11 @@ class DemonstrateRequest(_message.Message):
         width: _builtins.int = ...,
         privileged: _builtins.bool = ...,
         conditions: _abc.Iterable[_builtins.str] | None = ...,
+        settle: _builtins.int = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["behaviour", b"behaviour", "cameras", b"cameras", "conditions", b"conditions", "count", b"count", "first", b"first", "height", b"height", "max_skills", b"max_skills", "min_skills", b"min_skills", "privileged", b"privileged", "seed", b"seed", "skills", b"skills", "task", b"task", "width", b"width"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["behaviour", b"behaviour", "cameras", b"cameras", "conditions", b"conditions", "count", b"count", "first", b"first", "height", b"height", "max_skills", b"max_skills", "min_skills", b"min_skills", "privileged", b"privileged", "seed", b"seed", "settle", b"settle", "skills", b"skills", "task", b"task", "width", b"width"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
