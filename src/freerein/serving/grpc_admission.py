@@ -15,7 +15,7 @@ from freerein.serving import auth
 from freerein.serving.grpc_calls import Context, GrpcCalls
 from freerein.serving.health import Health
 from freerein.serving.limits import COPIES, Limits, Slots
-from freerein.serving.memory import Memory
+from freerein.serving.memory import Memory, Share
 
 _HEALTH_METHODS = f"/{health_pb2.DESCRIPTOR.services_by_name['Health'].full_name}/"
 T = TypeVar("T")
@@ -100,9 +100,10 @@ class Admission(grpc.aio.ServerInterceptor):
             first = await self._receipts.receive(context.read())
             if first is grpc.aio.EOF:
                 raise MalformedRequest("A call must send a message; it sent none.", hint="Use a gRPC client.")
+            share = self._memory.share_of_task()
             if isinstance(first, bytes):  # not of health and reflection, whose messages are small
-                self._memory.share_of_task().take(COPIES * len(first))
-            return _stream(first, context) if handler.request_streaming else first
+                share.take(COPIES * len(first))
+            return _stream([first], context, share) if handler.request_streaming else first
 
         async def call(_messages: Any, context: Context) -> Any:
             async with self._answered(path, context):
@@ -167,8 +168,9 @@ class Receipts:
             timer.cancel()
 
 
-async def _stream(first: Any, context: Context) -> AsyncIterator[Any]:
-    message = first
-    while message is not grpc.aio.EOF:
+async def _stream(first: list[Any], context: Context, share: Share) -> AsyncIterator[Any]:
+    """Yields messages; the first, in a list, may be large, and is neither kept nor counted once it was taken."""
+    yield first.pop()
+    share.close()
+    while (message := await context.read()) is not grpc.aio.EOF:
         yield message
-        message = await context.read()
