@@ -42,7 +42,7 @@ LEAST_CONFIDENCE = 0.8
 _CLAIMED = {"validation": CONFIDENT_ACCURACY, "test": DECODED_ACCURACY}
 """What claims are made of beside frame accuracy, by split."""
 
-_BATCH = 16
+_BATCH, _GUESSED_STEPS = 16, 300
 
 
 @torch.inference_mode()
@@ -67,9 +67,17 @@ def guessed_tag_loss(config: SegmentationConfig, tags: npt.NDArray[np.bool_]) ->
     """Returns `GUESSED_TAG_LOSS` of tags, bool (n, K), by the loss that ends a fit of a configuration."""
     objective = OBJECTIVES[config.objective] if config.final_objective == "none" else set_likelihood
     known = torch.from_numpy(tags)
-    shares = (known / known.sum(dim=1, keepdim=True)).mean(dim=0)  # (K,)
-    scores = shares.clamp(min=1e-6).log().expand(len(known), 1, -1)  # (n, 1, K)
-    return objective(scores, torch.ones(len(known), 1, dtype=torch.bool), known).mean().item()
+    shares = (known / known.sum(dim=1, keepdim=True)).mean(dim=0)  # (K,): best where a skill of each tag is pooled
+    constant = shares.clamp(min=1e-6).log().requires_grad_()
+    optimiser, mask = torch.optim.Adam([constant], lr=0.1), torch.ones(len(known), 1, dtype=torch.bool)
+    losses = []
+    for _ in range(_GUESSED_STEPS):
+        loss = objective(constant.expand(len(known), 1, -1), mask, known).mean()
+        losses.append(loss.item())
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]  # torch does not annotate it
+        optimiser.step()
+    return min(losses)
 
 
 def decode(probabilities: Probabilities) -> Labels:

@@ -201,6 +201,14 @@ def test_a_network_that_knows_nothing_has_the_loss_of_guessing(config: Segmentat
     assert evaluation.guessed_tag_loss(config, tags) == pytest.approx(guessed, abs=1e-6)
 
 
+def test_guessing_is_the_best_constant_of_each_objective() -> None:
+    tags = np.array([[True, True, False, False]] * 6 + [[True, False, True, False]] * 3 + [[True, False, False, True]])
+    found = {name: evaluation.guessed_tag_loss(SegmentationConfig(objective=name), tags) for name in ("ccnn", "lse")}
+    shares = [0.5, 0.3, 0.15, 0.05]  # of each skill, half a tag each
+    assert found["lse"] == pytest.approx(-sum(share * math.log(share) for share in shares), abs=1e-6)
+    assert found["ccnn"] < 0.1  # a little of all skills is allowed wherever they may occur
+
+
 STUDY = Study(
     DATA,
     methods=(Method("lse", ("causal",), {"objective": "lse"}),),
