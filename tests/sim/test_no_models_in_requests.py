@@ -19,7 +19,7 @@ BYTES = {"raw", "snapshot"}
 NUMBERS = {
     *("num_envs", "envs", "sources", "height", "width"),  # the size of a scene is its task's
     *("seed", "step_id", "action_repeat", "lease_s", "privileged"),
-    *("behaviour", "min_skills", "max_skills", "count", "first", "max_episode_steps"),
+    *("behaviour", "min_skills", "max_skills", "settle", "count", "first", "max_episode_steps"),
     "shape",
 }
 """Numbers, flags and choices."""
