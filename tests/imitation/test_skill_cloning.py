@@ -221,6 +221,12 @@ def test_segments_are_runs_of_a_label_that_the_trajectory_is_tagged_with() -> No
     assert keep_tagged(found, [(), ()], skills=SKILLS) == keep_tagged(found, (), skills=SKILLS) == found
 
 
+def test_a_skill_does_not_end_at_a_flicker() -> None:
+    flickers = [np.array([0, 0, 0, -1, -1, 0, 0, 0, 1, 0, 0, 0]), np.array([0, 0, 0, -1, -1, -1, 0, 0, 0])]
+    found = find_segments(flickers, min_steps=3)
+    assert found == [SkillSegment(0, 0, 12, 0), SkillSegment(1, 0, 3, 0), SkillSegment(1, 6, 9, 0)]
+
+
 def test_a_span_tells_what_was_seen_done_and_over_at_each_timestep() -> None:
     frames = np.arange(6, dtype=np.uint8)[:, None, None, None]
     actions = np.arange(6, dtype=np.float32)[:, None] / 10

@@ -35,19 +35,27 @@ class SkillSegment:
 
 
 def find_segments(labels: Sequence[Ints], *, min_steps: int) -> list[SkillSegment]:
-    """Returns the runs of equal labels that are long enough; timesteps without a label are in none.
+    """Returns the runs of equal labels that are at least `min_steps` long; timesteps without a label are in none.
 
+    Two runs of one skill with less than that between them are one segment: the skill does not end at a flicker.
     `labels` are, by trajectory, the skill at each timestep, int64 (T,); -1 for none.
     """
-    found = []
+    found: list[SkillSegment] = []
     for trajectory, each in enumerate(labels):
         bounds = [0, *(np.flatnonzero(np.diff(each)) + 1).tolist(), len(each)]
-        found += [
-            SkillSegment(trajectory, start, stop, int(each[start]))
-            for start, stop in pairwise(bounds)
-            if each[start] >= 0 and stop - start >= min_steps
-        ]
+        for start, stop in pairwise(bounds):
+            if each[start] < 0 or stop - start < min_steps:
+                continue
+            run = SkillSegment(trajectory, start, stop, int(each[start]))
+            before = found[-1] if found else None
+            if before and _is_same_skill(before, run) and start - before.stop < min_steps:
+                run = replace(found.pop(), stop=stop)
+            found.append(run)
     return found
+
+
+def _is_same_skill(one: SkillSegment, other: SkillSegment) -> bool:
+    return (one.trajectory, one.skill) == (other.trajectory, other.skill)
 
 
 def generous_limit(segments: Sequence[SkillSegment]) -> int:
