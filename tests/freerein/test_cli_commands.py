@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 
 from freerein.cli.__main__ import COMMANDS, app
 from freerein.cli.doctor import machine, services
-from freerein.cli.jobs.options import setting
+from freerein.cli.jobs.options import configuration, setting
 from freerein.cli.segments.timeline import skill_bar
 from freerein.data import DatasetSpec, create
 from freerein.errors import InvalidInput
@@ -138,6 +138,17 @@ def test_settings_are_json_where_they_can_be_and_text_elsewhere() -> None:
     }
     with pytest.raises(InvalidInput, match="KEY=VALUE"):
         setting("updates")
+
+
+def test_a_setting_of_a_text_is_not_read_as_a_number() -> None:
+    given = ["model=default", "version=12e456789012", "count=20", "dataset=20261105", 'camera="front"']
+    assert configuration("label", given) == {
+        "model": "default",
+        "version": "12e456789012",
+        "count": 20,
+        "dataset": "20261105",
+        "camera": "front",
+    }
 
 
 def test_the_bar_shows_every_skill_at_its_place_and_never_grows_wider_than_asked() -> None:

@@ -165,7 +165,7 @@ def test_nothing_is_said_of_a_time_that_is_unknown() -> None:
 
 def test_a_configuration_file_that_is_not_there_is_refused_by_its_path(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match=r"missing\.json is not: No such file") as refused:
-        configuration(None, tmp_path / "missing.json")
+        configuration("collect", None, tmp_path / "missing.json")
     assert refused.value.field == "config"
     assert "--set" in refused.value.hint
 

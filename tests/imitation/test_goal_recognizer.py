@@ -66,6 +66,17 @@ def test_served_by_itself_it_holds_and_tells_what_is_near(data_dir: Path) -> Non
     assert (policy.spec.goal_form, policy.spec.recurrent_size, policy.spec.max_steps_per_goal) == ("images", 0, 16)
 
 
+def test_served_by_itself_it_holds_targets_by_the_last_one(data_dir: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(model_folder(data_dir, "near"), tmp_path / "near")
+    card = json.loads((folder / "card.json").read_text())
+    card["spec"]["action"] |= {"size": 2, "choices": 0, "names": ["shoulder", "elbow"], "absolute": True, "hold": -1}
+    (folder / "card.json").write_text(json.dumps(card))
+    policy, targets = METHODS.load(folder, "cpu"), np.array([[0.25, -0.5]], np.float32)
+    frames = {"front": seen([4.0])}
+    step = policy.step(frames, policy.encode_goals(frames), targets, np.zeros((1, 0), np.float32))
+    np.testing.assert_array_equal(step.actions, targets[:, None])
+
+
 @pytest.mark.parametrize("method", ["goal_conditioned", "inverse_model"])
 def test_a_policy_copies_the_recognizer_that_its_fit_names(
     data_dir: Path, run_fit: Callable[..., Path], method: str

@@ -60,7 +60,7 @@ def leave(data_dir: Path, network: ActorCritic, frames: Any = FRAMES, **changes:
     """Leaves what a finished run does; returns its folder."""
     artifacts = data_dir / "runs" / RUN / "artifacts"
     artifacts.mkdir(parents=True)
-    score = fit_in_distribution(torch.from_numpy(frames), cameras=network.spec.cameras)
+    score = fit_in_distribution(torch.from_numpy(frames), num_envs=1, cameras=network.spec.cameras)
     save_in_distribution(score, artifacts)
     save_policy(network, artifacts, card={**CARD, **changes})
     return artifacts

@@ -247,14 +247,27 @@ def test_a_span_tells_what_was_seen_done_and_over_at_each_timestep() -> None:
 
 SIZES = MemorySizes(frames=2, features=3, actions=1, action_size=1, chunk=2, outputs=1)
 COUNTING = MemorySizes(frames=2, features=1, actions=2, action_size=1, chunk=5, outputs=1)
+NO_ACTION = torch.full((1,), -1.0)
+
+
+def memory_of(flat: torch.Tensor, sizes: MemorySizes) -> Memory:
+    """Returns the memory in a flat vector; it begins with actions of -1."""
+    return Memory.parse(flat, sizes, no_action=NO_ACTION)
+
+
+def test_before_an_episode_no_action_was_executed() -> None:
+    memory = memory_of(torch.zeros(1, COUNTING.total), COUNTING).with_action(torch.ones(1, 1))
+    assert memory.actions.flatten().tolist() == [1, -1]
+    later, _ = predicting(memory, 0)
+    assert memory_of(later.flat(), COUNTING).actions.flatten().tolist() == [1, -1]
 
 
 def test_a_memory_survives_being_flat_and_forgets_what_it_predicted_of_another_skill_or_of_the_same_before() -> None:
-    memory = Memory.parse(torch.zeros(1, SIZES.total), SIZES)
+    memory = memory_of(torch.zeros(1, SIZES.total), SIZES)
     memory, first = memory.advanced(
         torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[1.0], [2.0]]]), torch.tensor([0.8])
     )
-    memory = Memory.parse(memory.flat(), SIZES)
+    memory = memory_of(memory.flat(), SIZES)
     assert memory.rates.tolist() == [[1, 0]]
     same_skill, same = memory.advanced(
         torch.ones(1, 3), torch.tensor([1]), torch.tensor([[[4.0], [5.0]]]), torch.tensor([0.6])
@@ -282,7 +295,7 @@ def predicting(memory: Memory, first: int) -> tuple[Memory, list[float]]:
 
 @pytest.mark.parametrize("executed", range(1, 8))
 def test_predictions_are_for_their_own_timesteps_however_many_actions_were_executed(executed: int) -> None:
-    memory, none = Memory.parse(torch.zeros(1, COUNTING.total), COUNTING), torch.full((1,), -1.0)
+    memory, none = memory_of(torch.zeros(1, COUNTING.total), COUNTING), NO_ACTION
     for first in range(0, 4 * executed, executed):
         memory, averaged = predicting(memory, first)
         assert averaged == pytest.approx(range(first, first + COUNTING.chunk))
@@ -290,13 +303,13 @@ def test_predictions_are_for_their_own_timesteps_however_many_actions_were_execu
 
 
 def test_timesteps_are_skipped_together_as_one_by_one_and_each_memory_for_itself() -> None:
-    memory, none = Memory.parse(torch.zeros(1, COUNTING.total), COUNTING), torch.full((1,), -1.0)
+    memory, none = memory_of(torch.zeros(1, COUNTING.total), COUNTING), NO_ACTION
     for first in range(3):
         memory, _ = predicting(memory.with_action(torch.full((1, 1), float(first))), first)
     one_by_one = [memory]
     for _ in range(6):
         one_by_one.append(one_by_one[-1].skipped(torch.tensor([1]), no_action=none))
-    batch = Memory.parse(memory.flat().repeat(7, 1), COUNTING).skipped(torch.arange(7), no_action=none)
+    batch = memory_of(memory.flat().repeat(7, 1), COUNTING).skipped(torch.arange(7), no_action=none)
     torch.testing.assert_close(batch.flat(), torch.cat([each.flat() for each in one_by_one]))
     assert torch.equal(batch.flat()[:1], memory.flat())
     assert batch.rates[2].tolist() == pytest.approx([1 / 3, 1])

@@ -83,10 +83,35 @@ def test_a_rollout_begins_at_states_from_which_earlier_episodes_were_rewarded() 
 
     last = walk(envs)  # each episode ends at LENGTH, and another one is under way
     assert last.truncated.all()
-    assert set(last.observations[:, 0].tolist()) == {0, STEPS_BETWEEN}
+    assert set(last.observations[:, 0].tolist()) == {1, 1 + STEPS_BETWEEN}  # those that rewarded steps led to are not
+    assert last.given_up is not None
+    assert last.given_up.all()
     np.testing.assert_array_equal(last.final_observations, np.full((8, 1), 2 * STEPS - LENGTH))
     np.testing.assert_array_equal(line.places, last.observations[:, 0])
     np.testing.assert_array_equal(line.ages, line.places)  # an episode goes on with the steps that it has left
+
+
+def test_no_episode_begins_in_a_state_that_is_rewarded_itself() -> None:
+    line = LineEnvs(8)
+    envs = practise(line)
+    envs.reset()
+    line.places[:] = GOAL - STEPS_BETWEEN
+    for direction in (*[1] * STEPS_BETWEEN, -1, *[1] * (STEPS_BETWEEN - 1)):  # to the goal, back, and again
+        envs.step(np.full((8, 1), direction, np.float32))
+    envs.rewards()
+    assert set(walk(envs).observations[:, 0].tolist()) == {GOAL - STEPS_BETWEEN + 1, GOAL - 1}
+
+
+def test_an_episode_that_ends_as_another_begins_at_a_start_is_not_given_up() -> None:
+    line = LineEnvs(8)
+    envs = practise(line)
+    envs.reset()
+    walk(envs)
+    line.ages[:4] = LENGTH - STEPS
+    last = walk(envs)
+    assert last.truncated.all()
+    assert last.given_up is not None
+    assert last.given_up.tolist() == [False] * 4 + [True] * 4
 
 
 def test_episodes_without_a_reward_give_no_starts() -> None:
@@ -126,4 +151,4 @@ def test_the_newest_starts_are_kept() -> None:
     _, memory = envs.snapshots()
     header = json.loads(memory[8 : 8 + int.from_bytes(memory[:8])])
     assert header["starts"] == [[0, env] for env in range(MOST_STARTS)]
-    assert [json.loads(each)[0][0] for each in (memory[-header["lengths"][0] :],)] == [STEPS_BETWEEN]
+    assert [json.loads(each)[0][0] for each in (memory[-header["lengths"][0] :],)] == [1 + STEPS_BETWEEN]

@@ -27,7 +27,7 @@ class ScriptedEnvs:
     def __init__(self, ends_at: int = 2) -> None:
         self._rng, self._t, self._ends_at = np.random.default_rng(0), 0, ends_at
         self.final = self.reset()
-        self.reward = 1.0
+        self.reward, self.gives_up = 1.0, False
 
     def reset(self) -> Observations:
         return self._rng.standard_normal((3, 2), np.float32)
@@ -36,7 +36,8 @@ class ScriptedEnvs:
         done = np.full(3, self._t == self._ends_at)
         self._t += 1
         self.final = self.reset() if self._t <= self._ends_at + 1 else self.final
-        return VecStep(self.reset(), done & [True, False, True], done & [False, True, True], self.final)
+        given_up = done & [False, True, False] if self.gives_up else None
+        return VecStep(self.reset(), done & [True, False, True], done & [False, True, True], self.final, given_up)
 
     def rewards(self) -> Rewards:
         steps, self._t = self._t, 0
@@ -94,11 +95,26 @@ def test_a_rollout_tells_termination_from_truncation_and_knows_what_each_action_
     assert torch.equal(rollout.next_observations[[0, 1, 3]], rollout.observations[[1, 2, 4]])
     assert torch.equal(rollout.next_observations[4], after.observations)
 
-    episodes, ended = EpisodeStats.init(3).update(rollout.rewards, rollout.dones)
+    assert not rollout.given_up.any()
+    episodes, ended = EpisodeStats.init(3).update(rollout.rewards, rollout.dones, rollout.given_up)
     assert (ended.returns.tolist(), ended.lengths.tolist()) == ([3.0] * 3, [3] * 3)
     assert (episodes.returns.tolist(), episodes.lengths.tolist()) == ([2.0] * 3, [2] * 3)
     assert ended.metrics() == {"episode_return": 3.0, "episode_length": 3.0}
+    assert ended.metrics(action_repeat=2) == {"episode_return": 3.0, "episode_length": 6.0}
     assert EpisodeStats.init(0).metrics() == {}
+
+
+def test_an_episode_that_is_given_up_has_no_return_and_the_next_one_begins_at_zero() -> None:
+    envs, generator = ScriptedEnvs(), torch.Generator().manual_seed(0)
+    network = init_network(ActorCriticSpec(vector_size=2), generator)
+    envs.gives_up = True
+    rollout, _ = collect(network, envs, CollectorState.init(envs, network, generator), num_steps=5)
+
+    episodes, ended = EpisodeStats.init(3).update(rollout.rewards, rollout.dones, rollout.given_up)
+
+    assert rollout.given_up.tolist() == [[False, t == 2, False] for t in range(5)]
+    assert (ended.returns.tolist(), ended.lengths.tolist()) == ([3.0] * 2, [3] * 2)
+    assert (episodes.returns.tolist(), episodes.lengths.tolist()) == ([2.0] * 3, [2] * 3)
 
 
 def test_shaping_adds_to_the_return_of_an_episode_only_what_its_ends_are_worth() -> None:

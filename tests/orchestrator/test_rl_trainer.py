@@ -170,8 +170,10 @@ class _Spoilt:
         return self._spoil(self._envs.rewards())
 
 
-def dot_state(config: PPOConfig, envs: VecEnv | None = None, *, frame_stack: int = 1) -> PPOState:
-    spec = network_spec(config, observation=FRAME, frame_stack=frame_stack)
+def dot_state(
+    config: PPOConfig, envs: VecEnv | None = None, *, frame_stack: int = 1, action_repeat: int = 1
+) -> PPOState:
+    spec = network_spec(config, observation=FRAME, frame_stack=frame_stack, action_repeat=action_repeat)
     return init_state(config, spec, envs or DotEnvs(), device=CPU)
 
 
@@ -184,6 +186,7 @@ def train(
     log: list[str] | None = None,
     finished: PPOState | None = None,
     frame_stack: int = 1,
+    action_repeat: int = 1,
 ) -> PPOState:
     """Trains on the dots, or resumes; goes on with a finished training if there is one."""
     collector = LocalCollector(DotEnvs(seed=99), config, spoil)
@@ -192,7 +195,7 @@ def train(
         init=lambda: (
             trained_on(to_checkpoint(finished), config, device=CPU)
             if finished
-            else dot_state(config, frame_stack=frame_stack)
+            else dot_state(config, frame_stack=frame_stack, action_repeat=action_repeat)
         ),
         load=lambda checkpoint: from_checkpoint(checkpoint, config, device=CPU),
         collector=lambda _: collector,
@@ -225,6 +228,15 @@ def test_actions_are_learned_from_frames(tmp_path: Path) -> None:
     assert len(rewards) == FRAMES.iterations
     assert rewards[0] < 0.65
     assert rewards[-1] > 0.9
+
+
+def test_timesteps_and_lengths_of_episodes_count_each_timestep_of_an_action_that_is_held(tmp_path: Path) -> None:
+    train(tmp_path / "once")
+    train(tmp_path / "thrice", action_repeat=3)
+    for once, thrice in zip(rows(tmp_path / "once"), rows(tmp_path / "thrice"), strict=True):
+        assert thrice["timesteps"] == 3 * once["timesteps"]
+        assert thrice["episode_length"] == 3 * once["episode_length"]
+        assert thrice["episode_return"] == once["episode_return"]
 
 
 def test_a_recurrent_policy_learns_to_remember(tmp_path: Path) -> None:

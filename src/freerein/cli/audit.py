@@ -35,6 +35,8 @@ Audit = Annotated[
 _COLUMNS = ("image", "text", "holds")
 _ANSWERS: Mapping[str, bool] = {"yes": True, "no": False}
 _IMAGES_PER_REQUEST = 16
+_OF_TEXTS = ("goal_text", "rivals")
+"""Fields of a refusal that is about the text; others are about the images."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,8 @@ def audit(answers: Sequence[Answer], model: ModelRef) -> Report:
                 try:
                     reply = await client.reward(request)
                 except InvalidInput as error:
+                    if error.field not in _OF_TEXTS:
+                        raise
                     refused[text] = error
                     break
                 for place, reward in zip(some, reply.rewards.tolist(), strict=True):

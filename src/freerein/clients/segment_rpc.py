@@ -9,7 +9,7 @@ import numpy as np
 from freerein import images
 from freerein.clients.channel import MAX_MESSAGE_BYTES
 from freerein.clients.rpc import DEADLINE_S, StreamRpc, UnaryRpc
-from freerein.errors import Internal, TooLarge, Unavailable
+from freerein.errors import Internal, TooLarge, Unavailable, must_be
 from freerein.types.common import Timing, error_from
 from freerein.types.segmentation import (
     SegmentHello,
@@ -38,6 +38,7 @@ class SegmentRpc(UnaryRpc[SegmentRequest, SegmentResponse]):
             timeout_s: Deadline in seconds, of all attempts or of the stream; None or infinity for none.
 
         Raises:
+            InvalidInput: There are not as many actions as frames.
             TooLarge: The trajectory is too large for one request, and short segments are to be merged, which streams
                 cannot.
             FailedPrecondition: It is too large, and the model has no streams.
@@ -45,6 +46,11 @@ class SegmentRpc(UnaryRpc[SegmentRequest, SegmentResponse]):
         """
         if not _is_too_large(request):
             return await super().__call__(request, timeout_s=timeout_s)
+        count = len(request.images) if request.frames is None else len(request.frames)
+        if request.actions is not None and len(request.actions) != count:
+            raise must_be(
+                "`actions`", f"as many as there are frames, {count}", str(len(request.actions)), field="actions"
+            )
         if request.min_segment > 1:
             raise TooLarge(
                 "A trajectory that is too large for one request is sent as a stream, in which short segments cannot be "

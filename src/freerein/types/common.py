@@ -154,6 +154,10 @@ class ActionSpec:
         """
         return np.full(self.size, self.hold if self.choices else 0, self.dtype)
 
+    def nearest_to_hold(self) -> npt.NDArray[Any]:
+        """Returns the action that holds, as `hold_action`, or the first choice where none does."""
+        return np.maximum(self.hold_action(), 0)
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:

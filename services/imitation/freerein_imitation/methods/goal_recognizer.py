@@ -87,9 +87,13 @@ class GoalRecognizerPolicy(TorchPolicy[GoalRecognizerNetwork]):
 
     def _step(self, inputs: StepInputs) -> StepOutputs:
         reached = proximity_logit(self._network.recognizer(inputs.frames), inputs.goals).sigmoid()
-        hold = np.maximum(self.spec.action.hold_action(), 0)  # the first choice where none holds
-        actions = self._tensor(np.tile(hold, (len(reached), 1, 1)))
-        return StepOutputs(actions, reached, inputs.recurrent, confidence(reached))
+        return StepOutputs(self._hold(inputs)[:, None], reached, inputs.recurrent, confidence(reached))
+
+    def _hold(self, inputs: StepInputs) -> Tensor:
+        """Returns actions that hold, (B, A): of targets the last one."""
+        if self.spec.action.absolute:
+            return inputs.previous
+        return self._tensor(np.tile(self.spec.action.nearest_to_hold(), (len(inputs.previous), 1)))
 
 
 @dataclass(frozen=True, eq=False)

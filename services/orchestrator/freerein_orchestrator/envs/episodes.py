@@ -36,7 +36,8 @@ class Episode:
         frames: By recorded camera: uint8 (T + 1, H, W, C), frame t before action t, and that after the last action.
         actions: As executed, float32 (T, A) or int64 (T, 1).
         terminated: bool (T,), whether the episode terminated after action t; not where a time limit ended it.
-        states: float64 (T + 1, S), true states at the frames; S = 0 unless the session was privileged.
+        states: float64 (T + 1, S), true states at the frames, as of `finite_truth`; S = 0 unless the session was
+            privileged.
         rewards: The oracle's, float32 (T,); empty unless the session was privileged.
         success: Whether the goal holds at the end; False unless the session was privileged.
         goal_index: int64 (T,), number of goals that were over according to the policy's answer to frame t; None for a
@@ -55,7 +56,11 @@ class Episode:
 
 
 def derive_seed(*numbers: int) -> int:
-    """Returns a seed derived from numbers, such as a run's seed and the number of episodes before."""
+    """Returns a seed derived from numbers, such as a run's seed and the number of episodes before.
+
+    Zeros at the end of up to four numbers do not count, as numpy fills its pool of entropy with them: (5,) and (5, 0)
+    give one seed. So a caller's keys have one length, or those that are longer do not end in 0.
+    """
     return int(np.random.SeedSequence(numbers).generate_state(1)[0])
 
 
@@ -103,6 +108,7 @@ def run_episodes(
                 tell(truth.state)
             output = acting.act(frames, starts)
             reply = sim.step(StepRequest(session, len(steps) + 1, output.actions, cameras=rendered))
+            reply = replace(reply, truth=finite_truth(reply.truth, truth))
             steps.append(_Step(frames, output, reply).recorded(cameras))
             frames, starts, truth = reply.frames, reply.terminated | reply.truncated, reply.truth
             lengths[starts & (lengths == 0)] = len(steps)
@@ -150,6 +156,21 @@ def replay(
             if cameras:
                 frames.append(_final_frames(reply, request.num_envs - 1)[camera])
     return np.array(frames, np.uint8)
+
+
+def finite_truth(truth: Truth | None, before: Truth | None) -> Truth | None:
+    """Returns what is true after a step; where the simulation diverged, the state is that before it.
+
+    The sim service judges finite states alone: a single episode that diverged would end a whole evaluation.
+
+    Args:
+        truth: After the step; None in an unprivileged session.
+        before: Before it, likewise.
+    """
+    if truth is None or before is None:
+        return truth
+    is_finite = np.isfinite(truth.state).all(axis=1, keepdims=True)
+    return replace(truth, state=np.where(is_finite, truth.state, before.state))
 
 
 @contextmanager

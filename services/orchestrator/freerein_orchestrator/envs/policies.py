@@ -126,7 +126,7 @@ def served_policy(
     spec = PolicyInterface.of_served(reply)
     check_task(spec, task)
     pool = closing.enter_context(ThreadPoolExecutor(_MAX_THREADS, thread_name_prefix="act"))
-    hold = np.maximum(task.action.hold_action(), 0)[None]  # the first choice where none holds
+    hold = task.action.nearest_to_hold()[None]
 
     def start(session: PolicySession) -> BatchPolicy:
         requests = [
@@ -188,18 +188,23 @@ class _StoredPolicy:
 
 
 class _ExpertPolicy:
-    """Asks the sim service, which knows the session's true states."""
+    """Asks the sim service, which knows the session's true states.
+
+    Goals are of first episodes. In a later one, which nobody records, the expert does what the episode itself requires:
+    its scene may lack an object that the goal names.
+    """
 
     def __init__(self, sim: SyncClient, task: Task, session: PolicySession) -> None:
         self._sim = sim
         self._session = session
         self._recipes = [[task.skills.index(skill) for skill in goal.recipe] for goal in session.goals]
         self._over = np.zeros(len(session.goals), np.int64)
+        self._asked: tuple[Recipe, ...] | None = None
 
     def act(self, _frames: Mapping[str, Frames], episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
-        recipes = tuple(Recipe(goal.recipe) for goal in self._session.goals)
-        reply = self._sim.expert_actions(ExpertActionsRequest(self._session.id, recipes))
-        if not recipes:
+        self._asked = self._recipes_to_ask(episode_starts)
+        reply = self._sim.expert_actions(ExpertActionsRequest(self._session.id, self._asked))
+        if not self._asked:
             return PolicyOutput(reply.actions)
         places = zip(self._recipes, reply.skills.tolist(), reply.finished.tolist(), strict=True)
         over = [
@@ -208,6 +213,13 @@ class _ExpertPolicy:
         ]
         self._over = np.maximum(np.where(episode_starts, 0, self._over), over)
         return PolicyOutput(reply.actions, self._over)
+
+    def _recipes_to_ask(self, episode_starts: npt.NDArray[np.bool_]) -> tuple[Recipe, ...]:
+        """Returns the goal's recipe of each environment, empty once its first episode is over."""
+        if self._asked is None:
+            return tuple(Recipe(goal.recipe) for goal in self._session.goals)
+        envs = zip(self._asked, episode_starts.tolist(), strict=True)
+        return tuple(Recipe() if starts else recipe for recipe, starts in envs) if self._asked else ()
 
 
 class ServedPolicy:

@@ -76,9 +76,9 @@ class PractisingEnvs:
 
     def step(self, actions: Actions) -> VecStep:
         """Takes one action in every environment; after the last of a rollout, some are set to starts."""
-        if len(self._dones) % STEPS_BETWEEN == 0:
-            self._passed.append(self._envs.states())
         step = self._envs.step(actions)
+        if len(self._dones) % STEPS_BETWEEN == 0:  # after the step: its reward is of the state that it led to
+            self._passed.append(self._envs.states())
         self._dones.append(step.terminated | step.truncated)
         return self._with_starts(step) if len(self._dones) == self._num_steps and self._starts else step
 
@@ -106,12 +106,14 @@ class PractisingEnvs:
         drawn = self._rng.integers(len(self._starts), size=self.num_envs)
         frames = self._envs.begin_at({int(env): self._starts[drawn[env]] for env in np.flatnonzero(practise)})
         ended = step.terminated | step.truncated
+        given_up = practise & ~ended
         shown = (...,) + (None,) * (step.observations.ndim - 1)
         return VecStep(
             observations=np.where(practise[shown], frames, step.observations),
             terminated=step.terminated,
-            truncated=step.truncated | practise & ~step.terminated,
+            truncated=step.truncated | given_up,
             final_observations=np.where(ended[shown], step.final_observations, step.observations),
+            given_up=given_up,
         )
 
     def _memory(self) -> bytes:

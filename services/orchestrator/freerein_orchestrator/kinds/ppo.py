@@ -77,7 +77,8 @@ def run(context: RunContext, config: PPORunConfig) -> None:
     state = trainer.train()
     frames = training.retry.call(lambda: training.visited_frames(state))
     spec = state.network.spec
-    save_in_distribution(fit_in_distribution(frames, cameras=spec.cameras), context.artifacts)
+    score = fit_in_distribution(frames, num_envs=config.num_envs, cameras=spec.cameras)
+    save_in_distribution(score, context.artifacts)
     task = training.retry.call(lambda: find_task(training.sims[0], config.task))
     if can_film(context):
         filmed = frames[:: config.num_envs, ..., : spec.channels].numpy()  # of the first camera

@@ -43,9 +43,9 @@ class PPOConfig:
     Attributes:
         iterations: Number of rollouts, each followed by `epochs` passes over it.
         num_envs: Number of parallel environments.
-        num_steps: Timesteps per environment and rollout.
+        num_steps: Actions per environment and rollout.
         epochs: Passes over each rollout.
-        batch_size: Timesteps per minibatch. Divides `num_envs * num_steps`; a multiple of `num_steps` for a recurrent
+        batch_size: Actions per minibatch. Divides `num_envs * num_steps`; a multiple of `num_steps` for a recurrent
             policy, which learns from whole sequences.
         lr: Initial learning rate of Adam; falls linearly to a fifth.
         gamma: Discount factor.
@@ -116,12 +116,12 @@ class PPOConfig:
 
     @property
     def rollout_size(self) -> int:
-        """Timesteps per rollout, over all environments."""
+        """Actions per rollout, over all environments."""
         return self.num_envs * self.num_steps
 
     @property
     def sequence_length(self) -> int:
-        """Timesteps per training sequence: a whole rollout's for a recurrent policy, else 1."""
+        """Actions per training sequence: a whole rollout's for a recurrent policy, else 1."""
         return self.num_steps if self.recurrent else 1
 
     @property

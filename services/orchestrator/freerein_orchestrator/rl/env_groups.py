@@ -15,7 +15,7 @@ from torch import Tensor
 
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
-from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecEnv, VecStep
+from freerein_orchestrator.rl.vec_env import Actions, Observations, Rewards, VecEnv, VecStep, given_up
 
 _BY_ENV = frozenset({"last_observations", "last_values", "recurrent_state"})
 """Fields of a rollout whose first dimension is the environment; of the others it is the second."""
@@ -56,6 +56,7 @@ class EnvGroups(Generic[E_co]):
             terminated=np.concatenate([step.terminated for step in steps]),
             truncated=np.concatenate([step.truncated for step in steps]),
             final_observations=_joined([step.final_observations for step in steps]),
+            given_up=np.concatenate([given_up(step) for step in steps]),
         )
 
     def rewards(self) -> Rewards:

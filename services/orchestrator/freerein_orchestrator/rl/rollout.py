@@ -12,6 +12,7 @@ from freerein_orchestrator.rl.vec_env import (
     VecStep,
     env_actions,
     executed_actions,
+    given_up,
     observation_tensor,
     reward_tensor,
     step_observations,
@@ -31,6 +32,7 @@ class RolloutBuffer:
         rewards: Those of the environments, float32 (T, N).
         dones: Whether an episode ended, bool (T, N).
         terminated: Whether it ended in a terminal state, not by a time limit alone, bool (T, N).
+        given_up: Whether it was truncated only to begin in another state, bool (T, N).
         truncated_values: Value of the final observation of a truncated episode, 0 elsewhere, float32 (T, N).
         final_observations: Final observations of the K episodes that ended, by time and environment, (K, ...).
         last_observations: Those after the last timestep, (N, ...).
@@ -46,6 +48,7 @@ class RolloutBuffer:
     rewards: Tensor
     dones: Tensor
     terminated: Tensor
+    given_up: Tensor
     truncated_values: Tensor
     final_observations: Tensor
     last_observations: Tensor
@@ -212,6 +215,7 @@ def _row(
         "values": outputs.values[0].cpu(),
         "dones": dones,
         "terminated": terminated,
+        "given_up": torch.tensor(given_up(step)),
         "truncated_values": _truncated_values(network, final, dones, dones & ~terminated, state),
     }
 

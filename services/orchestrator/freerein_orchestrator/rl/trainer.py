@@ -107,13 +107,13 @@ class Trainer:
         log = self.metrics_log(self._step(state))
         with closing(self.collector(state)) as collector:
             while not self._is_done(state):
-                began_s, recoveries = time.monotonic(), collector.recoveries
+                began_s, before, recoveries = time.monotonic(), state.timesteps, collector.recoveries
                 state, rollout = self._iterate(state, collector)
                 row = {
                     **state.metrics,
                     "timesteps": float(state.timesteps),
                     "lr": state.schedule.lr(state.config, state.learner.state.step),
-                    "steps_per_s": state.config.rollout_size / (time.monotonic() - began_s),
+                    "steps_per_s": (state.timesteps - before) / (time.monotonic() - began_s),
                     "recoveries": float(collector.recoveries - recoveries),
                     "rejected": float(rejected),
                     "privileged": float(state.inputs.get("privileged") is True),
@@ -132,7 +132,7 @@ class Trainer:
             state.network.set_log_std(state.schedule.log_std(state.config, state.iteration))
         rollout, after = collector.collect(state.network, state.collector)
         first, *added = [reward.rewards(rollout) for reward in state.rewards]
-        episodes, ended = state.episodes.update(first, rollout.dones)
+        episodes, ended = state.episodes.update(first, rollout.dones, rollout.given_up)
         rewards, normaliser = sum(added, start=first), state.normaliser
         if normaliser is not None:
             rewards, normaliser = normaliser.normalise(rewards, rollout.dones, gamma=state.config.gamma)
@@ -141,7 +141,7 @@ class Trainer:
         )
         for reward in state.rewards:
             metrics |= reward.update(rollout)
-        metrics |= ended.metrics()
+        metrics |= ended.metrics(action_repeat=state.network.spec.action_repeat)
         recorded = state.recorded + (0 if self.recorder is None else self.recorder.count(rollout))
         state = replace(
             state,

@@ -34,12 +34,14 @@ class VecStep:
         terminated: bool (N,), whether the episode reached a terminal state.
         truncated: bool (N,), whether it was cut off by a time limit.
         final_observations: As `observations`, but the last of the old episode where one ended; other rows are not read.
+        given_up: bool (N,), whether it was truncated only to begin in another state; None for nowhere.
     """
 
     observations: Observations
     terminated: npt.NDArray[np.bool_]
     truncated: npt.NDArray[np.bool_]
     final_observations: Observations
+    given_up: npt.NDArray[np.bool_] | None = None
 
 
 class VecEnv(Protocol):
@@ -92,6 +94,11 @@ def observation_tensor(observations: Observations, spec: ActorCriticSpec, num_en
             hint="The simulation diverged.",
         )
     return torch.from_numpy(observations.copy())
+
+
+def given_up(step: VecStep) -> npt.NDArray[np.bool_]:
+    """Returns whether each environment's episode was given up for another state, bool (N,)."""
+    return np.zeros_like(step.truncated) if step.given_up is None else step.given_up
 
 
 def step_observations(step: VecStep, spec: ActorCriticSpec, num_envs: int) -> tuple[Tensor, Tensor]:

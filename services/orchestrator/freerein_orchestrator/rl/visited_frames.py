@@ -41,15 +41,19 @@ def visited_frames(network: ActorCritic, envs: VecEnv, generator: torch.Generato
     return torch.cat(frames)
 
 
-def fit_in_distribution(frames: Tensor, *, cameras: int = 1) -> InDistribution:
-    """Returns the score of how familiar frames are; the later half of them counts as held out.
+def fit_in_distribution(frames: Tensor, *, num_envs: int, cameras: int = 1) -> InDistribution:
+    """Returns the score of how familiar frames are; those of the later half of the environments count as held out.
+
+    So no episode is on both sides. Of a single environment the later half of the frames is held out.
 
     Args:
-        frames: uint8 (M, H, W, C).
+        frames: uint8 (T * N, H, W, C), those of N environments step after step.
+        num_envs: N.
         cameras: Number of cameras whose frames are side by side on the channels.
     """
     statistics = image_statistics({str(number): each for number, each in enumerate(frames.chunk(cameras, dim=-1))})
-    known, held_out = statistics.tensor_split(2)
+    parts = statistics.reshape(-1, num_envs, statistics.shape[1]).tensor_split(2, dim=min(1, num_envs - 1))
+    known, held_out = (part.flatten(end_dim=1) for part in parts)
     score = InDistribution(statistics.shape[1])
     confidence = torch.ones(len(held_out))  # none, so that there is none to calibrate on many episodes
     score.fit(known, held_out, confidence, trajectories=CALIBRATED_FROM)

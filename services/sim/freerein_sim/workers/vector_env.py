@@ -173,7 +173,7 @@ class VectorEnv:
             if (i, behaviour) not in self._scripted
         }
         chosen = [self._scripted[i, behaviour].act() for i in range(self.num_envs)]
-        hold = np.maximum(self.task.spec.action.hold_action(), 0)  # the first choice where none holds
+        hold = self.task.spec.action.nearest_to_hold()
         return ExpertActionsResponse(
             actions=np.stack([hold if each is None else each.action for each in chosen]),
             finished=np.array([each is None for each in chosen]),

@@ -109,7 +109,7 @@ def _show_spec(answer: GetSpecResponse) -> None:
         ("skills", ", ".join(answer.skills)),
         ("robot state", f"{answer.robot_state_size} numbers" if answer.robot_state_size else ""),
         ("max steps per goal", str(answer.max_steps_per_goal)),
-        ("reached threshold", "" if answer.goal_form == "text" else f"{answer.reached_threshold:.2f}"),
+        ("reached threshold", f"{answer.reached_threshold:.2f}" if answer.reached_threshold < 1 else ""),
         ("model", _name(answer.model)),
     ]
     show_table(("", ""), [row for row in rows if row[1]], last="wrapped")

@@ -75,7 +75,7 @@ def _add_start(service: str, explanation: str) -> None:
         as_json: AsJson = False,
     ) -> None:
         name = _dataset_name(dataset, folder, f"Write freerein fit {service} DATASET, or --recordings DIR.")
-        request = StartFitRequest(name, model_name, configuration(settings))
+        request = StartFitRequest(name, model_name, configuration(service, settings))
         source = recordings(folder) if folder else None
         with _imported(source, name, replaces=replace, as_json=as_json) if source else nullcontext():
             fit = call(FitClient, service, lambda client: client.start_fit(request)).fit
@@ -110,7 +110,7 @@ def reward(
     name = _dataset_name(dataset, images, hint)
     answers = read_answers(audit) if audit else []  # refused before anything is done
     named = [phrase.strip() for given in phrases or () for phrase in given.split(",")]
-    config = configuration(settings) | ({"phrases": named} if named else {})
+    config = configuration("reward", settings) | ({"phrases": named} if named else {})
     request = StartFitRequest(name, model_name, config)
     source = ImageSource(images) if images else None
     with _imported(source, name, replaces=replace, as_json=as_json) if source else nullcontext():

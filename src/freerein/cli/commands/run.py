@@ -38,6 +38,6 @@ def run(
 
     `freerein run KIND --help` has the keys of one kind.
     """
-    request = StartRunRequest(kind, configuration(settings, config), key)
+    request = StartRunRequest(kind, configuration(kind, settings, config), key)
     started = call(OrchestratorClient, "orchestrator", lambda client: client.start_run(request)).run
     show_or_watch("orchestrator", started, watch=watch, as_json=as_json)

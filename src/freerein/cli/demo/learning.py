@@ -103,10 +103,17 @@ async def _show_episode(demo: Demo, run: str) -> None:
 async def _episode(clients: Clients, model: ModelRef, *, seed: int) -> list[npt.NDArray[np.uint8]]:
     """Returns what the policy saw at each of its steps in an episode, drawn larger, uint8 (256, 256, 3) each."""
     created = await clients.sim.create_session(CreateSessionRequest(_TASK, seed=seed))
-    session, step = created.session, 0
+    try:
+        return await _seen(clients, model, created.session, most=created.task.max_episode_steps)
+    finally:
+        await clients.sim.close_session(CloseSessionRequest(created.session))
+
+
+async def _seen(clients: Clients, model: ModelRef, session: str, *, most: int) -> list[npt.NDArray[np.uint8]]:
+    step = 0
     frame = (await clients.sim.reset(ResetRequest(session, cameras=(_CAMERA,)))).frames[_CAMERA][0]
     frames, state, executed = [await _drawn(clients, session)], b"", None
-    while step < created.task.max_episode_steps:
+    while step < most:
         seen = Observation((images.encode(frame, encoding="raw_rgb8", camera=_CAMERA),))
         asked = ActRequest(seen, Goal(text=_SENTENCE), executed, state, model=model)
         answer = await clients.imitation.act(asked)
@@ -118,7 +125,6 @@ async def _episode(clients: Clients, model: ModelRef, *, seed: int) -> list[npt.
                 return frames
         frame = stepped.frames[_CAMERA][0]
         frames.append(await _drawn(clients, session))
-    await clients.sim.close_session(CloseSessionRequest(session))
     return frames
 
 

@@ -131,22 +131,21 @@ async def follow(sim: SimClient, imitation: ImitationClient, asked: Demonstratio
             )
             answer = await imitation.act(request)
             followed.add(frames, answer, threshold=spec.reached_threshold)
-            if not len(answer.actions) or step > most:
-                followed.ending = f"{most} actions were executed" if len(answer.actions) else "all landmarks are over"
-                yield followed
-                return
+            if not len(answer.actions):
+                followed.ending = "all landmarks are over"
+            elif step > most:
+                followed.ending = followed.ending or f"{most} actions were executed"
             yield followed
+            if followed.ending:
+                return
             state, executed = answer.state, answer.actions[:1]
             reply = await sim.step(StepRequest(session, step, executed, cameras=cameras))
-            if reply.terminated[0] or reply.truncated[0]:
-                frames = {name: each[0] for name, each in reply.final_frames.items()}
-                followed.seen.append(Seen(frames, answer))
+            is_over = reply.terminated[0] or reply.truncated[0]
+            if is_over:
                 followed.ending = (
                     f"the episode {'ended' if reply.terminated[0] else 'was cut short'} after {step} actions"
                 )
-                yield followed
-                return
-            frames = {name: each[0] for name, each in reply.frames.items()}
+            frames = {name: each[0] for name, each in (reply.final_frames if is_over else reply.frames).items()}
 
 
 @asynccontextmanager

@@ -46,6 +46,13 @@ def help_lines(given: Sequence[str], *, width: int) -> Iterator[str]:
         yield from _lines(name, schemas[name], width=width)
 
 
+def text_keys(name: str) -> frozenset[str]:
+    """Returns the keys of a service's fits, or of a kind of runs, that are strings wherever they occur."""
+    schemas: Sequence[Schema] = json.loads(SCHEMAS.read_bytes()).get(name, ())
+    found = [(key, value.get("type")) for schema in schemas for key, value in schema["properties"].items()]
+    return frozenset(key for key, kind in found if kind == "string") - {key for key, kind in found if kind != "string"}
+
+
 def _is_of_fits(schemas: Sequence[Schema]) -> bool:
     return "method" in schemas[0]["properties"]
 

@@ -66,7 +66,7 @@ class Memory:
     Attributes:
         rates: Of earlier frames, 1 / timesteps from each to the next frame, 0 for none: float32 (B, n), newest first.
         features: Of earlier frames, float32 (B, n, D), newest first.
-        actions: Executed ones, float32 (B, m, E), newest first; zeros for none.
+        actions: Executed ones, float32 (B, m, E), newest first.
         skill: Index of the skill that predictions are for, plus 1; 0 for none: float32 (B,).
         ended: Averaged probability that it has ended, float32 (B,).
         weights: Of the predictions for each of the next timesteps, float32 (B, K).
@@ -82,13 +82,17 @@ class Memory:
     sums: Tensor
 
     @classmethod
-    def parse(cls, flat: Tensor, sizes: MemorySizes) -> "Memory":
-        """Returns the memories in flat vectors, float32 (B, R), of any finite numbers."""
+    def parse(cls, flat: Tensor, sizes: MemorySizes, *, no_action: Tensor) -> "Memory":
+        """Returns the memories in flat vectors, float32 (B, R), of any finite numbers.
+
+        They are zeros at the start of an episode; `no_action` stands for actions before it, float32 (E,).
+        """
         rates, features, actions, skill, ended, weights, sums = torch.split(flat, list(sizes.parts), dim=1)
+        is_start = (flat == 0).all(dim=1)[:, None, None]
         return cls(
             rates.clamp(0, 1),
             features.reshape(flat.shape[0], sizes.frames, sizes.features),
-            actions.reshape(flat.shape[0], sizes.actions, sizes.action_size),
+            torch.where(is_start, no_action, actions.reshape(flat.shape[0], sizes.actions, sizes.action_size)),
             skill[:, 0],
             ended[:, 0].clamp(0, 1),
             weights.clamp(0.0, 1 / (1 - _DECAY)),

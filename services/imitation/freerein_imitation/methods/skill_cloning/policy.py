@@ -32,28 +32,31 @@ class SkillCloningPolicy(SkillPolicy[SkillCloningNetwork]):
     @torch.inference_mode()
     def skip_steps(self, recurrent: npt.NDArray[np.float32], steps: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
         """Returns recurrent states after control steps without an observation; see `Memory`."""
-        no_action = self._network.encode_actions(self._tensor(self.spec.action.no_action()))
-        memory = Memory.parse(self._tensor(recurrent), self._sizes)
-        later: npt.NDArray[np.float32] = memory.skipped(self._tensor(steps), no_action=no_action).flat().cpu().numpy()
+        memory = self._memory(self._tensor(recurrent)).skipped(self._tensor(steps), no_action=self._no_action())
+        later: npt.NDArray[np.float32] = memory.flat().cpu().numpy()
         return later
 
     @torch.inference_mode()
     def reset_goal_state(self, recurrent: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Returns recurrent states with frames and actions alone; see `Memory`."""
-        kept: npt.NDArray[np.float32] = (
-            Memory.parse(self._tensor(recurrent), self._sizes).without_skill().flat().cpu().numpy()
-        )
+        kept: npt.NDArray[np.float32] = self._memory(self._tensor(recurrent)).without_skill().flat().cpu().numpy()
         return kept
 
     def _step(self, inputs: StepInputs) -> StepOutputs:
         network, skill, felt = self._network, inputs.goals, inputs.robot_state
-        memory = Memory.parse(inputs.recurrent, self._sizes).with_action(network.encode_actions(inputs.previous))
+        memory = self._memory(inputs.recurrent).with_action(network.encode_actions(inputs.previous))
         features = network.encode(inputs.frames, felt)
         chunk, termination = network(features, skill, memory.features, memory.rates, memory.actions)
         ended = termination.sigmoid()
         later, averaged = memory.advanced(features, skill.argmax(dim=1), self._predicted(chunk), ended)
         reached = later.ended if self.spec.predicts_reached else torch.zeros_like(ended)
         return StepOutputs(self._actions(averaged), reached, later.flat(), network.confidence(ended, felt))
+
+    def _memory(self, recurrent: Tensor) -> Memory:
+        return Memory.parse(recurrent, self._sizes, no_action=self._no_action())
+
+    def _no_action(self) -> Tensor:
+        return self._network.encode_actions(self._tensor(self.spec.action.no_action()))
 
     def _predicted(self, chunk: Tensor) -> Tensor:
         """Returns the quantities averaged over predictions: actions, or probabilities of choices; float32 (B, K, O)."""

@@ -40,7 +40,8 @@ class SkillsSpec(InputSpec):
         normalise_exposure: Whether frames are made as bright as the training frames.
 
     Raises:
-        InvalidInput: There are no skills, there is more than one camera, or actions are discrete or out of bounds.
+        InvalidInput: There are no skills, there is more than one camera, or actions are discrete, targets or out of
+            bounds.
     """
 
     skills: tuple[str, ...]
@@ -62,6 +63,12 @@ class SkillsSpec(InputSpec):
                 f"Skill policies need actions that displace a gripper; got {self.action.choices} discrete choices.",
                 field="dataset",
                 hint="Record continuous actions.",
+            )
+        if self.action.absolute:
+            raise InvalidInput(
+                "Skill policies need actions that displace a gripper; those of this dataset are targets.",
+                field="dataset",
+                hint="Choose another method, such as skill_cloning.",
             )
 
     @property
