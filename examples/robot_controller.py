@@ -72,10 +72,12 @@ class Controller:
     def __init__(self, robot: "Robot", policy: ImitationClient, goal: Goal, *, max_steps_per_goal: int = 0) -> None:
         self._robot, self._policy, self._goal = robot, policy, goal
         self._max_steps_per_goal = max_steps_per_goal
-        self._executed: list[Action] = []
+        self._executed: list[Action] = []  # since the observation of the last chunk's state
+        self._first = 0  # control step of the first of these
+        self._last_action: Action | None = None
         self._newest, self._is_new = Observed(0, Observation()), asyncio.Event()
         self._planned: deque[Action] = deque()  # rest of the last chunk
-        self._model, self._state_step = ModelRef(), 0  # model and step of the last chunk's state
+        self._model = ModelRef()  # of the last chunk's state
         self._holds, self._why_no_action = HoldLog(), "no actions have come yet"
         self.last: Chunk | None = None
 
@@ -85,25 +87,30 @@ class Controller:
         try:
             while not receiving.done():
                 now_ns = time.monotonic_ns()
-                self._newest = Observed(len(self._executed), self._robot.observation(), observation_time_ns=now_ns)
+                self._newest = Observed(self._step, self._robot.observation(), observation_time_ns=now_ns)
                 self._is_new.set()
                 await asyncio.sleep(now_ns / 1e9 + self._robot.control_dt_s - time.monotonic())
-                self._executed.append(self._next_action())
-                await self._robot.execute(self._executed[-1])
+                self._last_action = self._next_action()
+                self._executed.append(self._last_action)
+                await self._robot.execute(self._last_action)
         finally:
             receiving.cancel()
             await asyncio.wait([receiving])
         receiving.result()
 
+    @property
+    def _step(self) -> int:
+        """Control steps so far."""
+        return self._first + len(self._executed)
+
     def _next_action(self) -> Action:
-        step = len(self._executed)
+        step = self._step
         if self._planned and self.last and time.monotonic_ns() <= self.last.valid_until_ns:
             self._holds.go_on(step)
             return self._planned.popleft()
         self._holds.hold(step, self._why_no_action)
-        if self._robot.action.absolute and self._executed:
-            return self._executed[-1]  # the last target holds the robot
-        return self._robot.hold()
+        is_held = self._robot.action.absolute and self._last_action is not None  # by the last target
+        return self._last_action if is_held else self._robot.hold()
 
     async def _receive(self) -> None:
         while True:
@@ -114,23 +121,31 @@ class Controller:
                     elif reply.error:
                         self._why_no_action = reply.error.detail
                     elif reply.chunk:
-                        self._planned = deque(reply.chunk.actions.copy())
-                        self._state_step, self.last = reply.seq, reply.chunk
-                        if not self._planned:
+                        if not len(reply.chunk.actions):
+                            self.last = reply.chunk
                             return  # all goals are over
+                        self._take(reply.chunk, reply.seq)
                         self._why_no_action = _OVER
             except (Unavailable, DeadlineExceeded, Overloaded) as error:
                 self._why_no_action = error.detail
             await asyncio.sleep(_RECONNECT_DELAY_S)  # meanwhile the rest of the chunk is executed
 
+    def _take(self, chunk: Chunk, step: int) -> None:
+        """Plans the actions of a chunk for the observation before control step `step`."""
+        del self._executed[: step - self._first]
+        self._first = step
+        late = min(len(self._executed), len(chunk.actions) - 1)  # actions whose time is over; the last one may be late
+        self._planned, self.last = deque(chunk.actions[late:].copy()), chunk
+
     async def _requests(self) -> AsyncIterator[ControlRequest]:
-        robot, sent, state = self._robot, self._state_step, self.last.state if self.last else b""
+        robot, sent, state = self._robot, self._first, self.last.state if self.last else b""
         hello = Hello(self._goal, robot.cameras, robot.action, robot.control_dt_s, self._model, state)
         yield ControlRequest(replace(hello, max_steps_per_goal=self._max_steps_per_goal))
         while await self._is_new.wait():
             self._is_new.clear()
             newest = self._newest
-            executed = np.array(self._executed[sent : newest.seq], robot.action.dtype).reshape(-1, robot.action.size)
+            recent = self._executed[sent - self._first : newest.seq - self._first]
+            executed = np.array(recent, robot.action.dtype).reshape(-1, robot.action.size)
             sent = newest.seq  # answered or not: the service counts every observation's steps
             yield ControlRequest(observed=replace(newest, executed_actions=executed))
 
@@ -163,7 +178,7 @@ class Robot:
         return Observation((images.encode(self._frame, encoding="raw_rgb8", camera=self.cameras[0].name),))
 
     def hold(self) -> Action:
-        """Returns an action, (A,), that holds the robot: no change, a choice, or of targets its own place."""
+        """Returns an action, (A,), that holds it before its first: no change, or a choice; of targets its place."""
         return self.action.hold_action()
 
     async def execute(self, action: Action) -> None:

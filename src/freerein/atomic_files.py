@@ -2,6 +2,7 @@
 
 import ctypes
 import errno
+import fcntl
 import os
 import secrets
 import shutil
@@ -52,6 +53,7 @@ def out_of_files() -> Unavailable:
 def write_atomic(path: Path, data: bytes) -> None:
     """Writes a file atomically: temporary file, fsync, rename, fsync of the folder. Creates missing folders.
 
+    A file has one writer at a time: where several may write it, each holds a lock, such as `locked`.
     Raises OSError when the disk is full or broken; the temporary file is then gone.
     """
     make_folder(path.parent)
@@ -67,6 +69,14 @@ def write_atomic(path: Path, data: bytes) -> None:
             temporary.unlink(missing_ok=True)
         raise
     fsync_folder(path.parent)
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Holds the lock of a file, created when missing, which one thread of all processes has at a time."""
+    with path.open("ab") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def fsync_folder(folder: Path) -> None:

@@ -8,13 +8,12 @@ import errno
 import hashlib
 import json
 import shutil
-import threading
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from freerein.atomic_files import TEMP_SUFFIX, delete_folder, fsync_folder, make_folder, write_atomic
+from freerein.atomic_files import TEMP_SUFFIX, delete_folder, fsync_folder, locked, make_folder, write_atomic
 from freerein.errors import FailedPrecondition, NotFound
 from freerein.types.common import ModelRef, check_name
 from freerein.types.learning import Model
@@ -32,7 +31,6 @@ class ModelStore:
     def __init__(self, root: Path, shipped: Path | None = None) -> None:
         self._root = root
         self._roots = (root, shipped) if shipped is not None else (root,)
-        self._changing = threading.Lock()  # fits and calls change the store on threads of their own
 
     def publish(self, name: str, folder: Path) -> ModelRef:
         """Moves a folder of files into the store and returns its reference. Equal files have equal versions.
@@ -48,7 +46,7 @@ class ModelStore:
         version = hashlib.sha256(manifest).hexdigest()[:12]
         write_atomic(folder / MANIFEST, manifest)
         target = self._root / name / version
-        with self._changing:
+        with self._changing():
             make_folder(target.parent)
             try:
                 folder.rename(target)
@@ -66,7 +64,7 @@ class ModelStore:
             NotFound: The model does not exist.
             FailedPrecondition: The active version is not `expected_current`.
         """
-        with self._changing:
+        with self._changing():
             self._find(ref)
             current = self.active_version(ref.name)
             if expected_current and expected_current != current:
@@ -103,7 +101,7 @@ class ModelStore:
 
         Raises FailedPrecondition, and deletes nothing, where one is active, unless `even_active`.
         """
-        with self._changing:
+        with self._changing():
             for ref in refs:
                 if self.active_version(ref.name) == ref.version:
                     if not even_active:
@@ -160,6 +158,13 @@ class ModelStore:
     def published_ns(self, folder: Path) -> int:
         """Returns when the version in a folder was published, Unix time in nanoseconds; 0 for a shipped one."""
         return folder.stat().st_mtime_ns if folder.is_relative_to(self._root) else 0
+
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Keeps others from changing the store: threads of this service, of its replicas and of its fits."""
+        make_folder(self._root)
+        with locked(self._root / ".lock"):
+            yield
 
     def _find(self, ref: ModelRef) -> Path:
         check_name(ref.name, field="model.name")

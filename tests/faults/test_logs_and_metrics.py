@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -121,6 +122,19 @@ def test_the_number_of_metric_series_does_not_grow_with_what_clients_send(faulty
     send(range(3, 1_000 if fuzz else 20))
     assert series() == before
     assert len(before) <= 500
+
+
+def test_metrics_of_a_disk_that_hangs_end_at_the_deadline_of_a_call(
+    start_faulty: Callable[..., Any], refusal: Callable[..., Any]
+) -> None:
+    faulty = start_faulty(FREEREIN_UNARY_S="1")
+    faulty.service.until_ready()
+    fit = faulty.service.data_dir / "fits" / "segmentation" / ("0" * 32)
+    fit.mkdir(parents=True)
+    os.mkfifo(fit / "events.jsonl")  # to open it takes as long as nobody writes
+    for _ in range(2):
+        assert refusal(faulty.http.get("/metrics"), 504)["code"] == "deadline_exceeded"
+    assert faulty.segment(1).json()["labels"] == [1]
 
 
 # --- calls of every kind; one that asks to stay open is left without a word

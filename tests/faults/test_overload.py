@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import io
 import json
 import random
 import socket
@@ -11,7 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import grpc
+import httpx
 import numpy as np
+import PIL.Image
 import pytest
 from google.rpc import error_details_pb2
 from grpc_status import rpc_status
@@ -103,6 +106,29 @@ async def status_of(error: grpc.aio.AioRpcError) -> Any:
             return error.details()
 
     return rpc_status.from_call(_Call())
+
+
+@pytest.mark.fault("C11")
+def test_images_count_as_large_as_they_are_once_decoded(
+    start_faulty: Callable[..., Any], refusal: Any, wait_until: Any
+) -> None:
+    faulty, count = start_faulty(FAULTY_SIDE="1000"), 60  # 180 MB of 512, of 60 times 3 kB
+
+    def send(first_pixel: tuple[int, int, int] = (0, 0, 0)) -> httpx.Response:
+        image, written = PIL.Image.new("RGB", (1000, 1000)), io.BytesIO()
+        image.putpixel((0, 0), first_pixel)
+        image.save(written, "PNG")
+        files = [("images", (f"{t}.png", written.getvalue())) for t in range(count)]
+        return faulty.http.post("/v1/segment", files=files)
+
+    with ThreadPoolExecutor(2) as pool:
+        calls = [pool.submit(send, (HELD, 0, 0))]
+        with faulty.hold():
+            calls.append(pool.submit(send))
+            wait_until(lambda: faulty.metric("freerein_queued_items") == 1, 60)
+            assert "decoded images" in refusal(send(), 429)["detail"]
+        assert [call.result().status_code for call in calls] == [200, 200]
+    assert send().status_code == 200
 
 
 # --- callers that go away

@@ -180,6 +180,27 @@ async def test_five_failures_in_a_row_make_it_not_ready_until_a_call_succeeds(ba
     assert not batcher.not_ready()
 
 
+@pytest.mark.fault("C16")
+async def test_after_five_failures_it_is_ready_again_without_a_call_and_not_after_the_next(
+    model: Model, wait_until: Any
+) -> None:
+    batcher: Batcher[int, int] = Batcher(model, queue=4, batch=3, metrics=Metrics(), call_s=0.2)
+
+    async def fail() -> float:
+        """Lets a call fail; returns for how many seconds it was not ready from then on."""
+        begun = time.monotonic()
+        with pytest.raises(ModelFault):
+            await batcher.submit(13, timeout_s=60)
+        await asyncio.to_thread(wait_until, lambda: not batcher.not_ready(), 60)
+        return time.monotonic() - begun
+
+    for _ in range(4):
+        with pytest.raises(ModelFault):
+            await batcher.submit(13, timeout_s=60)
+    assert [await fail() >= 0.2 for _ in range(2)] == [True, True]
+    batcher.close()
+
+
 async def test_what_waits_is_measured_until_it_is_refused_by_closing(model: Model) -> None:
     metrics = Metrics()
     batcher = Batcher(model, queue=4, batch=3, metrics=metrics)

@@ -5,6 +5,7 @@ import json
 import shutil
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -155,6 +156,25 @@ def test_another_version_than_expected_is_not_replaced(store: ModelStore, publis
     assert store.active_version("default") == second.version
 
 
+def test_of_replicas_that_replace_one_version_at_once_one_does(tmp_path: Path, publish: Publish) -> None:
+    first, *others = (publish(text) for text in "abcdefghi")
+    ModelStore(tmp_path / "models").activate(first)
+    all_are_there = threading.Barrier(len(others))
+
+    def replace(ref: ModelRef) -> str:
+        replica = ModelStore(tmp_path / "models")
+        all_are_there.wait(60)
+        try:
+            replica.activate(ref, expected_current=first.version)
+        except FailedPrecondition:
+            return ""
+        return ref.version
+
+    with ThreadPoolExecutor(len(others)) as threads:
+        (done,) = filter(None, threads.map(replace, others))
+    assert ModelStore(tmp_path / "models").active_version("default") == done
+
+
 def test_a_version_that_is_deleted_while_its_activation_waits_is_not_activated(
     store: ModelStore, publish: Publish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,7 +186,7 @@ def test_a_version_that_is_deleted_while_its_activation_waits_is_not_activated(
         store.delete([ref])
         yield
 
-    monkeypatch.setattr(store, "_changing", held_by_a_deletion())
+    monkeypatch.setattr(store, "_changing", held_by_a_deletion)
     with pytest.raises(NotFound):
         store.activate(ref)
     assert store.active_version("default") == ""
@@ -205,6 +225,26 @@ async def test_the_active_model_is_loaded_before_it_is_ready_and_once(
     assert await models.resolve(ModelRef()) == (ref, "a")
     assert await models.resolve(ref) == (ref, "a")
     assert loader.loaded == ["a"]
+
+
+async def test_a_disk_that_hangs_holds_up_no_call_that_names_a_model_in_memory(
+    store: ModelStore, publish: Publish, models: ModelCache[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ref, reading, goes_on, read_bytes = publish("a"), threading.Event(), threading.Event(), Path.read_bytes
+    store.activate(ref)
+    await models.start()
+
+    def hang(path: Path) -> bytes:
+        reading.set()
+        assert goes_on.wait(60)
+        return read_bytes(path)
+
+    monkeypatch.setattr(Path, "read_bytes", hang)
+    held_up = asyncio.create_task(models.resolve(ModelRef()))
+    assert await asyncio.to_thread(reading.wait, 60)
+    assert await models.resolve(ref) == (ref, "a")
+    goes_on.set()
+    assert await held_up == (ref, "a")
 
 
 async def test_without_a_model_it_is_ready_and_says_how_to_get_one(models: ModelCache[str]) -> None:

@@ -81,3 +81,21 @@ async def test_a_hold_its_reasons_and_its_end_are_logged_once_each(caplog: pytes
         "step N: holds: The service cannot be reached.",
     ]
     assert len(robot.executed) > len(told)  # by how many, the machine decides
+
+
+async def test_actions_of_a_late_chunk_are_executed_at_their_own_control_steps() -> None:
+    robot, begun = OwnRobot(), list[int]()
+
+    async def control(requests: AsyncIterator[ControlRequest]) -> AsyncIterator[ControlResponse]:
+        await anext(requests)
+        seen = [(await anext(requests)).observed for _ in range(4)]
+        begun.extend(each.seq for each in seen if each)
+        yield ControlResponse(begun[0], chunk=chunk(np.arange(1.0, 9.0, dtype=np.float32)[:, None].repeat(2, axis=1)))
+        while not any(action.any() for action in robot.executed):
+            await anext(requests)
+        yield ControlResponse(begun[0], chunk=chunk(np.zeros((0, 2), np.float32)))
+
+    await robot_controller.Controller(robot, SimpleNamespace(control=control), Goal(text="push")).run()  # type: ignore[arg-type]
+    step = next(step for step, action in enumerate(robot.executed) if action.any())
+    assert step >= begun[-1] > begun[0]
+    assert robot.executed[step].tolist() == [0.5 * (step - begun[0] + 1)] * 2

@@ -132,7 +132,6 @@ def test_the_seconds_of_a_step_are_those_of_all_its_attempts(
     run = new_run(tmp_path, "pipeline", {"steps": [CHANCE]}, FREEREIN_SIM_ADDRESS=sim)
     assert not run.do(stop=lambda: True)
     spent = run.folder / "parts" / "chance" / "seconds"
-    assert float(spent.read_text()) >= 0
     spent.write_text("1000.0")
     assert run.do()
     (row,) = run.artifact("steps.json")

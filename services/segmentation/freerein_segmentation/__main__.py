@@ -15,7 +15,7 @@ from freerein.serving.batcher import Batcher
 from freerein.serving.health import Health
 from freerein.serving.learned import LearnedSettings, learned_service
 from freerein.serving.lifecycle import Service, run
-from freerein.serving.limits import Limits
+from freerein.serving.limits import Limits, Slots
 from freerein.serving.metrics import Metrics
 from freerein_segmentation.core import Segmenter, SegmentStreamService, SkillModel, VideoDecoding, run_batch
 from freerein_segmentation.methods import METHODS
@@ -43,7 +43,12 @@ def build(
         NAME,
         segmentation_pb2.DESCRIPTOR.services_by_name["SegmentationService"],
         lambda models: (
-            Segmenter(models, batcher, VideoDecoding(limits.videos)),
+            Segmenter(
+                models,
+                batcher,
+                VideoDecoding(limits.videos),
+                Slots(limits.buffered_bytes, "bytes of decoded images may be in memory"),
+            ),
             SegmentStreamService(models, batcher, health=health, drain_s=limits.drain_s),
         ),
         settings=settings,

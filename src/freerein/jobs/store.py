@@ -29,7 +29,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from freerein.atomic_files import delete_folder, make_folder, write_atomic
+from freerein.atomic_files import delete_folder, locked, make_folder, write_atomic
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, Overloaded, must_be
 from freerein.jobs.json_lines import LineReader, append, last_document
 from freerein.jobs.metrics import read_metrics
@@ -94,7 +94,7 @@ class JobStore:
         job_id = id_of(request["idempotency_key"]) if request["idempotency_key"] else uuid.uuid4().hex
         folder = self.folder(job_id)
         make_folder(self._root)
-        with _locked(self._root / ".lock"):
+        with locked(self._root / ".lock"):
             if self.find(request) is None:
                 try:
                     make_folder(folder)
@@ -311,7 +311,7 @@ class JobStore:
 
         Raises NotFound when there is no such job.
         """
-        with self._deleted_is_not_found(), _locked(self.folder(job_id) / "state.lock"):
+        with self._deleted_is_not_found(), locked(self.folder(job_id) / "state.lock"):
             yield
 
     def _append(self, job_id: str, changes: Sequence[Mapping[str, Any]]) -> None:
@@ -362,13 +362,6 @@ class JobStore:
 def id_of(idempotency_key: str) -> str:
     """Returns the id of the job that is started with an idempotency key."""
     return uuid.uuid5(_KEYS, idempotency_key).hex
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    with path.open("ab") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
 
 
 def _event(document: Mapping[str, Any]) -> JobEvent:

@@ -87,6 +87,7 @@ class Batcher(Generic[I, O]):
         self._wake = threading.Lock()  # released to wake the thread: lower latency than a Condition
         self._closed = False
         self._faults = 0
+        self._last_fault = 0.0
         self._results: ThreadResults[BatchResult[O]] | None = None
         metrics.queued.set_function(lambda: len(self._queue))
         metrics.stuck.set_function(lambda: self._in_call_s() > self._call_s)
@@ -94,10 +95,14 @@ class Batcher(Generic[I, O]):
         self._thread.start()
 
     def not_ready(self) -> str:
-        """Returns why the model cannot answer, empty when it can: not when stuck, nor after five failures in a row."""
+        """Returns why the model cannot answer, empty when it can: not when stuck, nor after five failures in a row.
+
+        `call_s` after the last failure it may be asked again: nobody calls a service that is not ready.
+        """
         if self._in_call_s() > self._call_s:
             return f"The model has been busy with one call for more than {self._call_s:g} s."
-        return "The model failed five times in a row." if self._faults >= _FAULTS_UNTIL_NOT_READY else ""
+        is_recent = time.monotonic() - self._last_fault < self._call_s
+        return "The model failed five times in a row." if self._faults >= _FAULTS_UNTIL_NOT_READY and is_recent else ""
 
     def hangs(self) -> bool:
         """Returns whether the model has been stuck for so long that only a new process helps."""
@@ -199,6 +204,7 @@ class Batcher(Generic[I, O]):
         Their deadlines stay: one that has passed while the batch failed is exceeded.
         """
         if len(batch) == 1:
+            self._last_fault = time.monotonic()
             self._faults += 1
             batch[0].resolve(ModelFault("The model failed on this input; the log holds the cause.", hint="Report it."))
             return

@@ -1,7 +1,7 @@
 """A service as a process: listens at once, is ready after its warm-up, drains on SIGTERM, exits with code 0.
 
-Exit code 1 means that it must be started again: its model hangs, it met a bug, or what it needs failed. Exit code 3
-means a configuration error: starting again cannot help.
+Exit code 1 means that it must be started again: its model hangs, it met a bug, what it needs failed, or it did not stop
+in time. Exit code 3 means a configuration error: starting again cannot help.
 """
 
 import asyncio
@@ -11,6 +11,7 @@ import logging
 import os
 import socket
 import sys
+import threading
 from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -43,6 +44,7 @@ S = TypeVar("S", bound=ServiceSettings)
 CONFIGURATION_ERROR, FAILURE = 3, 1
 _CONFIGURATION_ERRORS = (InvalidInput, NotFound, AlreadyExists, FailedPrecondition, Unimplemented)
 _HANG_PERIOD_S = 0.5
+_END_S = 16.0  # a drain takes 8 s, the last checkpoint of a run 7 s
 _BACKLOG = 2048
 
 
@@ -160,15 +162,32 @@ async def _serve(settings: S, build: Build[S]) -> int:
     health_reporter = asyncio.create_task(grpc_server.report_health())
     warm_up = asyncio.create_task(_warm_up(service, http_server, health))
     code = await _wait_for_drain(service, http_server, health)
+    _end_within(_END_S)
     _log.info("draining")
     await grpc_server.drain()
     await asyncio.gather(rest, health_reporter)
+    await _stop(service, warm_up)
+    return code
+
+
+async def _stop(service: Service, warm_up: "asyncio.Task[None]") -> None:
     warm_up.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await warm_up
     await service.close()
     _log.info("stopped")
-    return code
+
+
+def _end_within(seconds: float) -> None:
+    """Ends the process with code 1 after some seconds, whatever hangs: threads that are waited for, or the loop."""
+
+    def end() -> None:
+        _log.error("did not stop in time")
+        program.end(FAILURE)
+
+    timer = threading.Timer(seconds, end)
+    timer.daemon = True
+    timer.start()
 
 
 def _say_ports(name: str, host: str, **ports: int) -> None:

@@ -100,10 +100,10 @@ class Slots:
         self.taken -= count
 
     @contextmanager
-    def hold(self) -> Iterator[None]:
-        """Holds one slot for the length of the block. Raises Overloaded when all are taken."""
-        self.take()
+    def hold(self, count: int = 1) -> Iterator[None]:
+        """Holds slots for the length of the block. Raises Overloaded when too few are free."""
+        self.take(count)
         try:
             yield
         finally:
-            self.free()
+            self.free(count)

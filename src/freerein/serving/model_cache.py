@@ -4,6 +4,8 @@ import asyncio
 import logging
 from collections import OrderedDict
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -23,6 +25,7 @@ from freerein.types.learning import (
 _log = logging.getLogger(__name__)
 
 M = TypeVar("M")
+T = TypeVar("T")
 
 _MAX_INACTIVE = 4
 _MAX_NAMED = 8
@@ -30,6 +33,8 @@ _MAX_NAMED = 8
 
 class ModelCache(Generic[M]):
     """LRU cache of one learned service's models. Active models are loaded at start and never evicted.
+
+    Files are read on threads, never on the event loop. Which version is active is read for each call that names none.
 
     Args:
         store: The models on disk.
@@ -54,6 +59,7 @@ class ModelCache(Generic[M]):
         self._loading = asyncio.Lock()
         self._loads: dict[ModelRef, asyncio.Task[M]] = {}
         self._started = False
+        self._reader = ThreadPoolExecutor(1, "models")  # not one that decodes: a disk that hangs ends no decoding
 
     async def start(self) -> None:
         """Loads the active version of every model. Raises FailedPrecondition when files are missing or changed.
@@ -61,8 +67,8 @@ class ModelCache(Generic[M]):
         A model that this version of freerein cannot load is logged, and answers with the same error when it is named:
         the others must be served, and a fit makes it anew.
         """
-        for name in self._store.names():
-            if version := self._store.active_version(name):
+        for name in await self._read(self._store.names):
+            if version := await self._read(partial(self._store.active_version, name)):
                 try:
                     await self._get(ModelRef(name, version))
                 except NotFound:
@@ -85,12 +91,12 @@ class ModelCache(Generic[M]):
         Raises FailedPrecondition when no version of that name is active, NotFound when the model does not exist.
         """
         name = check_name(ref.name or DEFAULT_NAME, field="model.name")
-        version = ref.version or self._store.active_version(name)
+        version = ref.version or await self._read(partial(self._store.active_version, name))
         if not version:
             raise FailedPrecondition(
                 f"The request needs an active model; no version of {quoted(name)} is active.",
                 field="model",
-                hint=self._hint(),
+                hint=await self._read(self._hint),
             )
         full_ref = ModelRef(name, version)
         return full_ref, await self._get(full_ref)
@@ -115,11 +121,15 @@ class ModelCache(Generic[M]):
         """Loads a version, then makes it the active one, between two batches; raises as `ModelStore.activate`."""
         name = check_name(request.name or DEFAULT_NAME, field="name")
         ref = ModelRef(name, check_name(request.version, field="version"))
+
+        def activate() -> Model:
+            folder = self._store.folder(ref)  # checks the files again
+            self._store.activate(ref, expected_current=request.expected_current)
+            return Model(ref, True, model_card(folder), self._store.published_ns(folder))
+
         await self._get(ref)
         async with self._loading:  # nor is it deleted meanwhile
-            folder = await asyncio.to_thread(self._store.folder, ref)  # checks the files again
-            await asyncio.to_thread(self._store.activate, ref, expected_current=request.expected_current)
-            return ActivateModelResponse(Model(ref, True, model_card(folder), self._store.published_ns(folder)))
+            return ActivateModelResponse(await asyncio.to_thread(activate))
 
     async def delete_model(self, request: DeleteModelRequest) -> DeleteModelResponse:
         """Deletes a version, or all of a name; requests that have it already are answered.
@@ -156,7 +166,7 @@ class ModelCache(Generic[M]):
     async def _load_into_memory(self, ref: ModelRef) -> M:
         async with self._loading:
             self._loaded[ref] = model = await asyncio.to_thread(lambda: self._load(self._store.folder(ref)))
-            self._evict()
+            await self._evict()
             return model
 
     def _end_load(self, ref: ModelRef, done: "asyncio.Task[M]") -> None:
@@ -164,15 +174,20 @@ class ModelCache(Generic[M]):
         if not done.cancelled():
             done.exception()  # callers that still wait have it; there may be none
 
+    def _read(self, call: Callable[[], T]) -> "asyncio.Future[T]":
+        """Returns what a call returns that reads the store; not on the event loop, which a disk may hold up."""
+        return asyncio.get_running_loop().run_in_executor(self._reader, call)
+
     def _hint(self) -> str:
         """Returns how to name an active model, where there are some, or to fit one."""
         active = [name for name in self._store.names() if self._store.active_version(name)]
         named = f"Name an active one: {', '.join(active[:_MAX_NAMED])}. Or fit" if active else "Fit"
         return f"{named} one: {self._fit_command}"
 
-    def _evict(self) -> None:
+    async def _evict(self) -> None:
         """Drops the least recently used inactive models above the limit; active models always stay in memory."""
-        inactive = [ref for ref in self._loaded if not self._is_active(ref)]
+        loaded = tuple(self._loaded)
+        inactive = await self._read(lambda: [ref for ref in loaded if not self._is_active(ref)])
         for ref in inactive[:-_MAX_INACTIVE]:
             del self._loaded[ref]
 

@@ -156,7 +156,8 @@ class ActionSpec:
 
     def nearest_to_hold(self) -> npt.NDArray[Any]:
         """Returns the action that holds, as `hold_action`, or the first choice where none does."""
-        return np.maximum(self.hold_action(), 0)
+        hold = self.hold_action()
+        return np.zeros_like(hold) if self.choices and self.hold < 0 else hold
 
 
 @dataclass(frozen=True, eq=False)

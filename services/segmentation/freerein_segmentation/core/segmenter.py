@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from freerein.errors import InvalidInput
 from freerein.serving.call_timer import CallTimer
+from freerein.serving.limits import Slots
 from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein.types.segmentation import ListSkillsRequest, ListSkillsResponse, SegmentRequest, SegmentResponse
@@ -34,11 +35,13 @@ class Segmenter:
         models: The models.
         batcher: Runs `run_batch` on the model's thread.
         videos: Decodes videos.
+        decoded: Bytes of decoded images, which may be hundreds of times those received, of all calls that wait.
     """
 
     models: ModelCache[SkillModel]
     batcher: SegmentationBatcher
     videos: VideoDecoding
+    decoded: Slots
 
     async def list_skills(self, request: ListSkillsRequest) -> ListSkillsResponse:
         """Returns the skills and the expected inputs of a model; raises as `ModelCache.resolve`."""
@@ -52,7 +55,7 @@ class Segmenter:
             UnsupportedMedia: An image or the video is in an encoding that is not read.
             TooLarge: The trajectory is too long.
             Unimplemented: No decoder of video is installed.
-            Overloaded: Too many videos are being decoded.
+            Overloaded: Too many videos are being decoded, or too many images wait.
             NotFound, FailedPrecondition: There is no such model, or no active one.
         """
         timer = CallTimer()
@@ -69,8 +72,10 @@ class Segmenter:
             fps = request.fps or model.fps
             prediction, time_s = await self._predict_video(ref, model, replace(request, fps=fps), timer)
         else:
-            frames, actions = await timer.decode(read_timesteps(model, request))
-            prediction = timer.output(await self.batcher.submit(partial(predict, model, frames, actions), key=ref))
+            camera = model.camera
+            with self.decoded.hold(len(request.images) * camera.height * camera.width * camera.channels):
+                frames, actions = await timer.decode(read_timesteps(model, request))
+                prediction = timer.output(await self.batcher.submit(partial(predict, model, frames, actions), key=ref))
         labels, confidence, segments = await asyncio.to_thread(
             decoding.decode,
             prediction.probabilities,

@@ -72,7 +72,7 @@ def make_app(
 
     routes = [
         *_method_routes(served, limits),
-        *_health_and_metrics_routes(health, metrics),
+        *_health_and_metrics_routes(health, metrics, limits),
         *docs_routes(document, title=api_title(name)),
     ]
     if open_websocket is not None:
@@ -227,7 +227,7 @@ def _encode_part(item: Any) -> bytes:
     return cast(bytes, item.data)
 
 
-def _health_and_metrics_routes(health: Health, metrics: Metrics) -> list[BaseRoute]:
+def _health_and_metrics_routes(health: Health, metrics: Metrics, limits: Limits) -> list[BaseRoute]:
     async def live(_request: Request) -> Response:
         return Response(b'{"live":true}', media_type="application/json")
 
@@ -236,8 +236,10 @@ def _health_and_metrics_routes(health: Health, metrics: Metrics) -> list[BaseRou
             raise health.error()
         return Response(b'{"ready":true}', media_type="application/json")
 
-    async def prometheus(_request: Request) -> Response:
-        return Response(await metrics.read(), media_type="text/plain; version=0.0.4")
+    async def prometheus(request: Request) -> Response:
+        async with while_connected(request, limits.unary_s):  # the disk may hang
+            text = await metrics.read()
+        return Response(text, media_type="text/plain; version=0.0.4")
 
     return [
         Route("/healthz", live),

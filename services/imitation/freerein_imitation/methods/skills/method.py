@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
 import torch
 
 from freerein.data import labels
@@ -45,7 +46,7 @@ def _card(source: FitDataset, learner: SkillsLearner, fitted: FitResult[SkillsNe
         "figures": fitted.figures | figures,
         "labels": asdict(labels.info(source.root)),
         "supervision": "images and executed actions of demonstrations, and skills predicted from tags",
-        "warnings": [*_without_gripper(learner.spec)],
+        "warnings": [*_without_gripper(learner.spec), *_left_out(learner)],
     }
 
 
@@ -56,6 +57,16 @@ def _without_gripper(spec: SkillsSpec) -> Iterator[str]:
             f"The number of an action that moves a gripper must have `{GRIPPER}` in its name; got "
             f"{', '.join(spec.action.names) or 'no names'}. Without one, a skill's object is taken to be where its "
             "segment ends, and to be put there. If the robot has a gripper, name its number so, and fit again."
+        )
+
+
+def _left_out(learner: SkillsLearner) -> Iterator[str]:
+    """Yields a warning where trajectories taught nothing."""
+    count, used = len(learner.demonstrations), np.union1d(learner.training.trajectory, learner.validation.trajectory)
+    if len(used) < count:
+        yield (
+            f"Of {count} trajectories {count - len(used)} taught nothing: their labels show other skills than their "
+            "tags, or none for `min_segment_steps`."
         )
 
 
