@@ -129,6 +129,46 @@ def test_segments_are_edited_by_keys_and_by_mouse_and_taken_away(watched: Watche
     assert page.get_by_role("button", name="Undo").is_disabled()
 
 
+def test_what_is_typed_is_taken_once_it_is_complete(watched: Watched, demos: str) -> None:
+    page = watched.open("/")
+    begin = page.get_by_label("Begin of segment 3")
+    begin.press("Control+a")
+    begin.press_sequentially("25")
+    begin.press("Enter")
+    assert begin.input_value() == "25"
+    page.get_by_role("button", name="Undo").click()
+    assert begin.input_value() == "28"
+    assert page.get_by_role("button", name="Undo").is_disabled()
+    watched.open(f"/?source=dataset&dataset={demos}")
+    trajectory = page.get_by_label("Trajectory, 0 to 11")
+    trajectory.press("Control+a")
+    trajectory.press_sequentially("11")
+    page.get_by_role("heading", name="demos, trajectory 0").wait_for()
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name="demos, trajectory 11").wait_for()
+
+
+def test_edits_that_are_not_saved_are_there_when_one_comes_back(watched: Watched, demos: str) -> None:
+    page = watched.open(f"/?source=dataset&dataset={demos}")
+    skill = page.get_by_label("Skill of segment 1")
+    skill.fill("pick-purple")
+    skill.press("Tab")
+    page.get_by_label("Trajectory, 0 to 11").fill("1")
+    page.get_by_label("Trajectory, 0 to 11").press("Enter")
+    page.get_by_role("heading", name="demos, trajectory 1").wait_for()
+    page.get_by_role("link", name="Services", exact=True).click()
+    page.get_by_role("heading", name="Services").wait_for()
+    page.get_by_role("link", name="Segments", exact=True).click()
+    page.get_by_role("link", name="A dataset").click()
+    page.get_by_role("heading", name="demos, trajectory 0").wait_for()
+    assert skill.input_value() == "pick-purple"
+    page.locator("select[name=model]").select_option("grid")
+    page.get_by_role("button", name="Segment", exact=True).click()
+    page.get_by_text("and model grid").wait_for()
+    page.get_by_role("button", name="Undo").click()
+    assert skill.input_value() == "pick-purple"
+
+
 def test_a_trajectory_of_a_dataset_is_segmented_and_its_labels_saved(watched: Watched, demos: str) -> None:
     page = watched.open("/?view=data")
     page.get_by_role("link", name="Look at its trajectories").click()
@@ -163,6 +203,12 @@ def test_a_dropped_video_is_segmented(
     page.get_by_role("heading", name="grid.mp4").wait_for()
     assert page.get_by_role("slider", name="Time").get_attribute("aria-valuemax") == str(len(actions) - 1)
     page.get_by_text("unlike the training data").first.wait_for()
+    page.get_by_role("link", name="Demonstration", exact=True).click()
+    page.get_by_role("heading", name="A robot sorts groceries").wait_for()
+    page.get_by_role("link", name="Your video").click()
+    page.get_by_role("heading", name="grid.mp4").wait_for()
+    page.get_by_role("slider", name="Time").press("End")
+    assert page.get_by_text("This frame cannot be shown").count() == 0
 
 
 def test_a_run_is_started_from_its_form_watched_and_its_artifacts_shown(watched: Watched) -> None:
@@ -263,6 +309,15 @@ def test_a_policy_acts_towards_goal_images_and_a_new_goal(watched: Watched, stac
     page.close(run_before_unload=False)
     reply = httpx.post(f"{stack.url}/services/sim/v1/render", json={"session": session[1]}, timeout=60)
     assert reply.json()["code"] == "session_not_found"
+
+
+def test_a_world_is_kept_while_its_page_is_seen(watched: Watched) -> None:
+    watched.page.clock.install()
+    page = watched.open("/?view=policy")
+    page.get_by_text("Give it a goal").wait_for()
+    with page.expect_response("**/sim/v1/render") as renewed:
+        page.clock.fast_forward("00:41")
+    assert renewed.value.ok
 
 
 def test_a_policy_executes_a_recipe(watched: Watched) -> None:

@@ -1,4 +1,5 @@
 /** The page: mounts the shell. */
+import "preact/compat";
 import { render } from "preact";
 import "./styles/page.css";
 import { Shell } from "./shell";

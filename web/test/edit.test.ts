@@ -73,3 +73,10 @@ test("files hold what has a skill, in seconds and in timesteps", () => {
   assert.equal(csv(segments, 3), "trajectory,start,end,skill\n3,0,4,reach\n3,6,9,pour\n");
   assert.equal(clock(3723.4567), "01:02:03.457");
 });
+
+test("other labels are undone to the edits before them, unless they are of another recording", () => {
+  const before = edit.rename(edit.editing(SEGMENTS, 10), 0, "stir");
+  const again = edit.editingAgain(before, [{ start: 0, end: 10, skill: "pour" }], 10);
+  assert.deepEqual(edit.undo(again).segments, before.segments);
+  assert.deepEqual(edit.editingAgain(before, SEGMENTS, 12).past, []);
+});

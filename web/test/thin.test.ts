@@ -17,9 +17,3 @@ test("a short curve is left as it is", () => {
   const short = { x: [1, 2], y: [3, 4] };
   assert.equal(thin(short, 8), short);
 });
-
-test("100 000 points take less than 100 ms", () => {
-  const before = performance.now();
-  thin({ x, y }, 2000);
-  assert.ok(performance.now() - before < 100);
-});

@@ -12,6 +12,9 @@ export const LEARNED: readonly LearnedService[] = ["segmentation", "imitation", 
 /** Whether a token is asked for: a call was refused for want of one. */
 export const signedOut = signal(false);
 
+/** Whether the services need a token. */
+export const needsToken = signal(false);
+
 /** Returns the path of a call, such as `/services/sim/v1/step`. */
 export function pathOf(call: string): string {
   const [service, name] = call.split("/") as [string, string];

@@ -13,6 +13,8 @@ export class Problem extends Error {
     /** The invalid field, or empty. */
     readonly field = "",
     readonly requestId = "",
+    /** Seconds after which another try is welcome; 0 where the reply does not say. */
+    readonly retryAfterS = 0,
   ) {
     super(detail);
   }
@@ -31,7 +33,9 @@ export async function problemOf(reply: Response): Promise<Problem> {
     return typeof value === "string" ? value : "";
   };
   const detail = text("detail") || `The reply has status ${reply.status}.`;
-  return new Problem(reply.status, text("code") || "internal", detail, text("hint"), text("field"), text("request_id"));
+  const code = text("code") || "internal";
+  const retryAfterS = Number(reply.headers.get("retry-after")) || 0;
+  return new Problem(reply.status, code, detail, text("hint"), text("field"), text("request_id"), retryAfterS);
 }
 
 /** The problem of a request without a reply. */

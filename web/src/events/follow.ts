@@ -5,6 +5,8 @@ import { EventParser, type ServerEvent } from "./parser";
 
 const FIRST_PAUSE_MS = 500;
 const LONGEST_PAUSE_MS = 8000;
+/** Refusals that end by themselves: a request timeout, and too many requests. */
+const PASSING = [408, 429];
 
 export interface Following {
   /** Ends it. */
@@ -40,8 +42,8 @@ export async function follow(path: string, following: Following): Promise<void> 
       if (following.signal.aborted) return;
       const problem = asProblem(error);
       following.onBreak(problem);
-      if (problem.status >= 400 && problem.status < 500) return;
-      await sleep(pause, following.signal);
+      if (problem.status >= 400 && problem.status < 500 && !PASSING.includes(problem.status)) return;
+      await sleep(Math.max(pause, 1000 * problem.retryAfterS), following.signal);
       pause = Math.min(2 * pause, LONGEST_PAUSE_MS);
     }
   }

@@ -1,12 +1,13 @@
 /** Takes the token once; the service sets a cookie that no script can read. */
 import { useState } from "preact/hooks";
-import { send, signedOut } from "../api/client";
+import { needsToken, send, signedOut } from "../api/client";
 import { asProblem, type Problem } from "../api/problem";
 
 /** Asks whether a token is needed. */
 export async function askSession(): Promise<void> {
   try {
     const session = (await (await send("/session")).json()) as { token_needed: boolean; signed_in: boolean };
+    needsToken.value = session.token_needed;
     signedOut.value = session.token_needed && !session.signed_in;
   } catch {
     // The view says who is away.

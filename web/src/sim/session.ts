@@ -1,9 +1,10 @@
 /** Sessions of the sim service, of one environment each; they are closed when the page goes. */
 import { call, sendLast } from "../api/client";
-import { numbersOf } from "../api/tensors";
-import type { ExpertActionsResponse, ResetResponse, StepResponse, Task, Tensor } from "../api/types";
+import { imageOf, numbersOf } from "../api/tensors";
+import type { ExpertActionsResponse, Image, ResetResponse, StepResponse, Task, Tensor } from "../api/types";
 
 const LEASE_S = 120;
+const RENEWAL_MS = (LEASE_S * 1000) / 3;
 /** So many that no episode ends while somebody watches. */
 const MOST_STEPS = 10_000;
 
@@ -19,6 +20,10 @@ export interface SessionOptions {
 
 export class SimSession {
   private steps = 0;
+  /** Renews the lease while the page is seen, as any call does. */
+  private readonly renewal = window.setInterval(() => {
+    if (document.visibilityState === "visible") this.render(this.task.cameras[0]!.name, 16).catch(() => undefined);
+  }, RENEWAL_MS);
 
   private constructor(
     readonly id: string,
@@ -33,6 +38,7 @@ export class SimSession {
   }
 
   async close(): Promise<void> {
+    window.clearInterval(this.renewal);
     if (open.delete(this.id)) await call("sim/close-session", { session: this.id });
   }
 
@@ -68,4 +74,9 @@ export class SimSession {
 /** Returns the frames of a camera. */
 export function frameOf(frames: ResetResponse["frames"], camera: string): Tensor {
   return frames[camera] as Tensor;
+}
+
+/** Returns the frames of cameras as the images of a request. */
+export function imagesOf(frames: ResetResponse["frames"], cameras: readonly string[]): Image[] {
+  return cameras.map((each) => imageOf(frameOf(frames, each), each));
 }

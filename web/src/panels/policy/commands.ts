@@ -13,69 +13,104 @@ interface Calls {
   readonly seed: number;
   readonly session: string;
   readonly stepId: number;
-  readonly camera: string;
+  readonly cameras: readonly string[];
   readonly model: string;
+  /** Of the newest step; empty before the first. */
   readonly actions: readonly number[];
   readonly goal: Goal;
+  /** Whether the services need the token of FREEREIN_TOKEN. */
+  readonly needsToken: boolean;
 }
 
 /** Returns the newest calls of an episode. */
 export function written(calls: Calls): Written[] {
-  return [create(calls), act(calls), step(calls)];
+  return [create(calls), act(calls), ...(calls.actions.length > 0 ? [step(calls)] : [])];
 }
 
-function create({ origin, task, seed }: Calls): Written {
-  const body = JSON.stringify({ task, seed });
+function create(calls: Calls): Written {
+  const { task, seed, cameras } = calls;
   return {
     name: "CreateSession",
-    curl: `curl ${origin}/services/sim/v1/create-session --json ${quoted(body)}`,
-    python: `from freerein.envs import SimEnv\n\nenv = SimEnv(${JSON.stringify(task)}, "localhost:9104", cameras=("front",))\nframe, _ = env.reset(seed=${seed})`,
+    curl: `${curl(calls, "sim/v1/create-session")} --json ${quoted(JSON.stringify({ task, seed }))}`,
+    python: [
+      ...(calls.needsToken ? ["import os", ""] : []),
+      "from freerein.envs import SimEnv",
+      "",
+      `env = SimEnv(${JSON.stringify(task)}, "localhost:9104", cameras=${tuple(cameras)}${token(calls)})`,
+      `${seen(cameras)}, _ = env.reset(seed=${seed})`,
+    ].join("\n"),
   };
 }
 
-function act({ origin, camera, model, goal }: Calls): Written {
+function act(calls: Calls): Written {
+  const { cameras, model, goal } = calls;
+  /** A file as a part of the form; one of several cameras as JSON, which names it. */
+  const image = (field: string, file: string, camera: string): string =>
+    cameras.length === 1
+      ? `-F ${field}=@${file}.png`
+      : `-F '${field}={"encoding":"png","camera":"${camera}","data":"'$(base64 -w0 ${file}.png)'"}'`;
   const parts =
     goal.form === "images"
-      ? goal.landmarks.map((_, index) => `-F goal.images=@landmark${index + 1}.png`)
+      ? goal.landmarks.flatMap((_, index) =>
+          cameras.map((each) => image("goal.images", `landmark${index + 1}-${each}`, each)),
+        )
       : goal.form === "recipe"
         ? goal.skills.map((each) => `-F goal.recipe=${each}`)
         : [`-F goal.text=${quoted(goal.text)}`];
-  const images = "tuple(images.encode(each) for each in landmarks)";
   const python =
     goal.form === "images"
-      ? `Goal(${images})`
+      ? cameras.length === 1
+        ? "Goal(tuple(images.encode(each) for each in landmarks))"
+        : "Goal(tuple(images.encode(each, camera=name) for frames in landmarks for name, each in frames.items()))"
       : goal.form === "recipe"
         ? `Goal(recipe=${tuple(goal.skills)})`
         : `Goal(text=${JSON.stringify(goal.text)})`;
   return {
     name: "Act",
     curl: [
-      `curl ${origin}/services/imitation/v1/act?tensors=list -F model.name=${model}`,
-      `-F observation.images=@${camera}.png`,
+      `${curl(calls, "imitation/v1/act?tensors=list")} -F model.name=${model}`,
+      ...cameras.map((each) => image("observation.images", each, each)),
       ...parts,
     ].join(" \\\n  "),
     python: [
+      ...(calls.needsToken ? ["import os", ""] : []),
       "from freerein import images",
       "from freerein.clients import Channel, ImitationClient, SyncClient",
       "from freerein.types.common import Goal, ModelRef, Observation",
       "from freerein.types.imitation import ActRequest",
       "",
-      'with SyncClient(ImitationClient(Channel("localhost:9102"))) as policy:',
+      `with SyncClient(ImitationClient(Channel("localhost:9102"${token(calls)}))) as policy:`,
       `    goal = ${python}`,
-      `    seen = Observation((images.encode(frame, camera=${JSON.stringify(camera)}),))`,
+      cameras.length === 1
+        ? `    seen = Observation((images.encode(frame, camera=${JSON.stringify(cameras[0])}),))`
+        : "    seen = Observation(tuple(images.encode(each, camera=name) for name, each in frames.items()))",
       `    reply = policy.act(ActRequest(model=ModelRef(${JSON.stringify(model)}), observation=seen, goal=goal))`,
     ].join("\n"),
   };
 }
 
-function step({ origin, session, stepId, camera, actions }: Calls): Written {
+function step(calls: Calls): Written {
+  const { session, stepId, cameras, actions } = calls;
   const shown = actions.map((each) => Math.round(each * 1e4) / 1e4);
-  const body = JSON.stringify({ session, step_id: stepId, actions: [shown], cameras: [camera] });
+  const body = JSON.stringify({ session, step_id: stepId, actions: [shown], cameras });
   return {
     name: "Step",
-    curl: `curl ${origin}/services/sim/v1/step?tensors=list --json ${quoted(body)}`,
-    python: "frame, *_ = env.step(reply.actions[0])",
+    curl: `${curl(calls, "sim/v1/step?tensors=list")} --json ${quoted(body)}`,
+    python: `${seen(cameras)}, *_ = env.step(reply.actions[0])`,
   };
+}
+
+function curl({ origin, needsToken }: Calls, path: string): string {
+  return `curl ${quoted(`${origin}/services/${path}`)}${needsToken ? ' -H "Authorization: Bearer $FREEREIN_TOKEN"' : ""}`;
+}
+
+function token({ needsToken }: Calls): string {
+  return needsToken ? ', token=os.environ["FREEREIN_TOKEN"]' : "";
+}
+
+/** What `SimEnv` returns: the frame of one camera, or those of several by name. */
+function seen(cameras: readonly string[]): string {
+  return cameras.length === 1 ? "frame" : "frames";
 }
 
 /** Quotes for a shell. */

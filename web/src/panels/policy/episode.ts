@@ -2,21 +2,23 @@
 import { signal } from "@preact/signals";
 import { call } from "../../api/client";
 import { asProblem, type Problem } from "../../api/problem";
-import { imageOf, numbersOf, pixelsOf } from "../../api/tensors";
-import type { ActResponse, GetSpecResponse, Tensor } from "../../api/types";
+import { numbersOf, pixelsOf } from "../../api/tensors";
+import type { ActResponse, GetSpecResponse, ResetResponse, Tensor } from "../../api/types";
 import { say } from "../../parts/say";
-import { frameOf, SimSession } from "../../sim/session";
+import { imagesOf, SimSession } from "../../sim/session";
 import { nameOf, partsOf, sentGoal, type Goal } from "./goal";
 
 export const SHOWN_SIDE = 256;
 const KEPT_STEPS = 400;
+
+export type Outcome = "reached" | "abandoned";
 
 /** One control step, for the strips. */
 export interface Moment {
   readonly actions: readonly number[];
   readonly confidence: number;
   readonly familiar: number;
-  readonly event: "" | "reached" | "abandoned" | "new goal";
+  readonly event: "" | Outcome | "new goal";
 }
 
 export type Status = "opening" | "ready" | "acting" | "paused" | "holding" | "failed" | "closed";
@@ -24,15 +26,20 @@ export type Status = "opening" | "ready" | "acting" | "paused" | "holding" | "fa
 export class Episode {
   readonly status = signal<Status>("opening");
   readonly problem = signal<Problem | null>(null);
-  /** What the camera shows people; larger than what the policy sees. */
+  /** What the first camera shows people; larger than what the policy sees. */
   readonly picture = signal<ImageData | null>(null);
   readonly reply = signal<ActResponse | null>(null);
+  /** Of each part of the goal that is over. */
+  readonly outcomes = signal<readonly Outcome[]>([]);
   readonly history = signal<readonly Moment[]>([]);
   readonly goal = signal<Goal | null>(null);
   readonly stepsPerSecond = signal(0);
-  readonly executed: number[][] = [];
+  /** Actions since the reset. */
+  readonly executed = signal<readonly (readonly number[])[]>([]);
   private session: SimSession | null = null;
-  private frame: Tensor | null = null;
+  private frames: ResetResponse["frames"] = {};
+  /** The act in flight: another one would send the same policy state and step id. */
+  private acting: Promise<void> | null = null;
   private policyState = "";
   private last: readonly number[] | null = null;
   private isNewGoal = false;
@@ -45,8 +52,8 @@ export class Episode {
     void this.open();
   }
 
-  private get camera(): string {
-    return this.spec.cameras[0]!.name;
+  get cameras(): string[] {
+    return this.spec.cameras.map((each) => each.name);
   }
 
   get sessionId(): string {
@@ -58,8 +65,8 @@ export class Episode {
       const session = await SimSession.create(this.task, { seed: this.seed });
       if (this.status.peek() === "closed") return void session.close();
       this.session = session;
-      this.frame = frameOf((await session.reset([this.camera])).frames, this.camera);
-      this.picture.value = pixelsOf(await session.render(this.camera, SHOWN_SIDE));
+      this.frames = (await session.reset(this.cameras)).frames;
+      this.picture.value = pixelsOf(await session.render(this.cameras[0]!, SHOWN_SIDE));
       if (this.status.peek() === "opening") this.status.value = "ready";
     } catch (error) {
       this.fail(error);
@@ -77,11 +84,13 @@ export class Episode {
     this.policyState = "";
     this.isNewGoal = true;
     this.reply.value = null;
+    this.outcomes.value = [];
     if (this.status.peek() === "holding") this.status.value = "paused";
   }
 
   /** Acts until it is paused, holds or fails. */
   async run(): Promise<void> {
+    await this.acting; // what a pause left in flight
     if (!this.canAct()) return;
     this.status.value = "acting";
     while (this.status.peek() === "acting") {
@@ -93,8 +102,10 @@ export class Episode {
     }
   }
 
-  pause(): void {
+  /** Pauses; afterwards no act is in flight. */
+  async pause(): Promise<void> {
     if (this.status.peek() === "acting") this.status.value = "paused";
+    await this.acting;
   }
 
   /** Acts once. */
@@ -103,15 +114,20 @@ export class Episode {
   }
 
   private canAct(): boolean {
-    return this.goal.peek() !== null && ["ready", "paused"].includes(this.status.peek());
+    return this.acting === null && this.goal.peek() !== null && ["ready", "paused"].includes(this.status.peek());
   }
 
-  private async act(): Promise<void> {
+  private act(): Promise<void> {
+    this.acting = this.decide().finally(() => (this.acting = null));
+    return this.acting;
+  }
+
+  private async decide(): Promise<void> {
     try {
       const goal = this.goal.peek()!;
       const reply = await call("imitation/act", {
         model: this.spec.model ?? undefined,
-        observation: { images: [imageOf(this.frame!, this.camera)] },
+        observation: { images: imagesOf(this.frames, this.cameras) },
         executed_actions: this.last ? [this.last] : [],
         goal: sentGoal(goal),
         state: this.policyState,
@@ -128,26 +144,22 @@ export class Episode {
   }
 
   private async execute(actions: readonly number[]): Promise<void> {
-    const { frames } = await this.session!.step(actions, [this.camera]);
-    this.frame = frameOf(frames, this.camera);
+    this.frames = (await this.session!.step(actions, this.cameras)).frames;
     this.last = actions;
-    this.executed.push([...actions]);
-    this.picture.value = pixelsOf(await this.session!.render(this.camera, SHOWN_SIDE));
+    this.executed.value = [...this.executed.peek(), actions];
+    this.picture.value = pixelsOf(await this.session!.render(this.cameras[0]!, SHOWN_SIDE));
   }
 
   private record(reply: ActResponse, actions: readonly number[]): void {
-    const before = this.reply.peek();
-    const hasMoved = before !== null && reply.goal_index > before.goal_index;
-    const wasAbandoned = reply.goal_abandoned && !(before?.goal_abandoned ?? false);
-    const event = this.isNewGoal ? "new goal" : wasAbandoned ? "abandoned" : hasMoved ? "reached" : "";
+    const outcome = outcomeOf(this.reply.peek(), reply, this.spec.reached_threshold);
+    const event = outcome || (this.isNewGoal ? "new goal" : "");
     this.isNewGoal = false;
     this.reply.value = reply;
+    if (outcome) this.outcomes.value = [...this.outcomes.peek(), outcome];
     const { goal_confidence: confidence, in_distribution: familiar } = reply;
     this.history.value = [...this.history.peek().slice(1 - KEPT_STEPS), { actions, confidence, familiar, event }];
     const goal = this.goal.peek()!;
-    if (event === "reached")
-      say(`${nameOf(goal, reply.goal_index - 1)} reached, ${reply.goal_index} of ${partsOf(goal)}`);
-    if (event === "abandoned") say(`${nameOf(goal, reply.goal_index - 1)} abandoned`);
+    if (outcome) say(`${nameOf(goal, reply.goal_index - 1)} ${outcome}, ${reply.goal_index} of ${partsOf(goal)} over`);
   }
 
   private hold(reply: ActResponse): void {
@@ -164,6 +176,13 @@ export class Episode {
     this.problem.value = asProblem(error);
     this.status.value = "failed";
   }
+}
+
+/** Returns how a part of the goal ended with a reply; empty where none did. `goal_abandoned` tells of the first one only. */
+export function outcomeOf(before: ActResponse | null, reply: ActResponse, threshold: number): Outcome | "" {
+  if (reply.goal_index <= (before?.goal_index ?? 0)) return "";
+  const isReached = before?.goal_abandoned ? reply.goal_confidence >= threshold : !reply.goal_abandoned;
+  return isReached ? "reached" : "abandoned";
 }
 
 /** Returns the first action of a chunk (K, A); null where K = 0. */

@@ -1,10 +1,12 @@
 /** Goals of a policy, and goal images that the scripted expert makes. */
-import { imageOf, pixelsOf } from "../../api/tensors";
-import type { GetSpecResponse, Image, Tensor } from "../../api/types";
-import { frameOf, SimSession } from "../../sim/session";
+import { pixelsOf } from "../../api/tensors";
+import type { GetSpecResponse, Image } from "../../api/types";
+import { frameOf, imagesOf, SimSession } from "../../sim/session";
 
 export interface Landmark {
-  readonly image: Image;
+  /** One of each camera. */
+  readonly images: readonly Image[];
+  /** Of the first camera. */
   readonly picture: ImageBitmap;
 }
 
@@ -15,7 +17,7 @@ export type Goal =
 
 /** Returns a goal as a request has it. */
 export function sentGoal(goal: Goal): { images?: Image[]; recipe?: string[]; text?: string } {
-  if (goal.form === "images") return { images: goal.landmarks.map((each) => each.image) };
+  if (goal.form === "images") return { images: goal.landmarks.flatMap((each) => each.images) };
   return goal.form === "recipe" ? { recipe: [...goal.skills] } : { text: goal.text };
 }
 
@@ -42,9 +44,9 @@ export interface ExpertGoal {
   readonly every: number;
 }
 
-/** Returns what the camera sees every so many steps while the expert goes on from a state. */
+/** Returns what the cameras see every so many steps while the expert goes on from a state. */
 export async function expertLandmarks(spec: GetSpecResponse, goal: ExpertGoal): Promise<Landmark[]> {
-  const camera = spec.cameras[0]!.name;
+  const cameras = spec.cameras.map((each) => each.name);
   const session = await SimSession.create(goal.task, { seed: goal.seed, privileged: true });
   try {
     await session.reset([]);
@@ -53,16 +55,15 @@ export async function expertLandmarks(spec: GetSpecResponse, goal: ExpertGoal): 
     for (let step = 1; landmarks.length < goal.landmarks; step += 1) {
       const { actions, isFinished } = await session.expertActions([goal.skill]);
       const isLandmark = step % goal.every === 0 || isFinished;
-      const { frames } = await session.step(actions, isLandmark ? [camera] : []);
-      if (isLandmark) landmarks.push(await landmarkOf(frameOf(frames, camera), camera));
+      const { frames } = await session.step(actions, isLandmark ? cameras : []);
+      if (isLandmark) {
+        const picture = await createImageBitmap(pixelsOf(frameOf(frames, cameras[0]!)));
+        landmarks.push({ images: imagesOf(frames, cameras), picture });
+      }
       if (isFinished) break;
     }
     return landmarks;
   } finally {
     void session.close();
   }
-}
-
-async function landmarkOf(frame: Tensor, camera: string): Promise<Landmark> {
-  return { image: imageOf(frame, camera), picture: await createImageBitmap(pixelsOf(frame)) };
 }

@@ -5,6 +5,7 @@ import { asProblem, type Problem } from "../../api/problem";
 import { toBase64 } from "../../api/tensors";
 import type { GetSpecResponse, Image, Task } from "../../api/types";
 import { Failed } from "../../parts/notice";
+import { Typed } from "../../parts/typed";
 import type { Episode } from "./episode";
 import { expertLandmarks, type Goal, type Landmark } from "./goal";
 
@@ -54,8 +55,9 @@ function ImagesForm({ spec, task, episode, isBusy, give }: FormProps) {
   const [landmarks, setLandmarks] = useState(6);
   const every = 6;
   const byExpert = async (): Promise<Goal> => {
-    episode.pause();
-    const { executed, seed } = episode;
+    await episode.pause();
+    const executed = episode.executed.peek();
+    const { seed } = episode;
     return {
       form: "images",
       landmarks: await expertLandmarks(spec, { task: task.name, seed, executed, skill, landmarks, every }),
@@ -63,7 +65,7 @@ function ImagesForm({ spec, task, episode, isBusy, give }: FormProps) {
   };
   const byFiles = async (files: readonly File[]): Promise<Goal> => ({
     form: "images",
-    landmarks: await Promise.all(files.map(landmarkOfFile)),
+    landmarks: await landmarksOfFiles(spec, files),
   });
   return (
     <>
@@ -79,12 +81,12 @@ function ImagesForm({ spec, task, episode, isBusy, give }: FormProps) {
           </label>
           <label>
             Goal images, {every} steps apart
-            <input
+            <Typed
               type="number"
               min={1}
               max={12}
               value={landmarks}
-              onChange={(event) => setLandmarks(event.currentTarget.valueAsNumber || 1)}
+              onValue={(text) => setLandmarks(Number(text) || 1)}
             />
           </label>
           <button type="button" class={emphasis(episode)} disabled={isBusy} onClick={() => void give(byExpert)}>
@@ -94,6 +96,7 @@ function ImagesForm({ spec, task, episode, isBusy, give }: FormProps) {
       )}
       <label>
         Or your images, of {spec.cameras[0]!.width} × {spec.cameras[0]!.height} pixels
+        {spec.cameras.length > 1 && `, for each goal one of ${spec.cameras.map((each) => each.name).join(", ")}`}
         <input
           type="file"
           multiple
@@ -105,10 +108,22 @@ function ImagesForm({ spec, task, episode, isBusy, give }: FormProps) {
   );
 }
 
-async function landmarkOfFile(file: File): Promise<Landmark> {
+/** Returns landmarks of files in order: of each landmark an image of every camera. */
+async function landmarksOfFiles({ cameras }: GetSpecResponse, files: readonly File[]): Promise<Landmark[]> {
+  const landmarks = Array.from({ length: Math.ceil(files.length / cameras.length) }, (_, index) =>
+    files.slice(index * cameras.length, (index + 1) * cameras.length),
+  );
+  return Promise.all(
+    landmarks.map(async (each) => ({
+      images: await Promise.all(each.map((file, index) => imageOfFile(file, cameras[index]!.name))),
+      picture: await createImageBitmap(each[0]!),
+    })),
+  );
+}
+
+async function imageOfFile(file: File, camera: string): Promise<Image> {
   const encoding = file.type.replace("image/", "") as Image["encoding"];
-  const data = toBase64(new Uint8Array(await file.arrayBuffer()));
-  return { image: { encoding, height: 0, width: 0, data, camera: "" }, picture: await createImageBitmap(file) };
+  return { encoding, height: 0, width: 0, data: toBase64(new Uint8Array(await file.arrayBuffer())), camera };
 }
 
 function RecipeForm({ spec, task, episode, isBusy, give }: FormProps) {

@@ -1,10 +1,11 @@
 /** A policy, live: it acts in a world towards a goal, and every call can be looked at. */
 import { useEffect, useState } from "preact/hooks";
-import { call } from "../../api/client";
+import { call, needsToken } from "../../api/client";
 import { useRemote } from "../../api/remote";
 import type { GetSpecResponse, Task } from "../../api/types";
 import { Code } from "../../parts/code";
 import { Empty, Failed, Loading, Shown } from "../../parts/notice";
+import { Typed } from "../../parts/typed";
 import { amend, query } from "../../url/location";
 import { written } from "./commands";
 import { Episode } from "./episode";
@@ -40,7 +41,7 @@ async function load(signal: AbortSignal): Promise<Stage> {
   ]);
   const names = models.filter((each) => each.active).map((each) => each.ref!.name);
   const specs = await Promise.all(names.map((name) => call("imitation/get-spec", { "model.name": name }, { signal })));
-  return { specs, tasks };
+  return { specs: specs.filter((each) => each.robot_state_size === 0), tasks };
 }
 
 /** Returns the worlds whose cameras and actions are those of a policy. */
@@ -57,7 +58,10 @@ function Chosen({ specs, tasks }: Stage) {
     specs.find((each) => each.model!.name === query.value.model) ??
     specs.find((each) => worldsOf(each, tasks).length > 0) ??
     specs[0];
-  if (!spec) return <Empty title="No policy is active">Fit one of the imitation service under Runs and fits.</Empty>;
+  if (!spec)
+    return (
+      <Empty title="No active policy acts on images alone">Fit one of the imitation service under Runs and fits.</Empty>
+    );
   const worlds = worldsOf(spec, tasks);
   const task = worlds.find((each) => each.name === query.value.world) ?? worlds[0];
   if (!task)
@@ -84,7 +88,7 @@ function useEpisode(spec: GetSpecResponse, task: Task, seed: number, turn: numbe
   useEffect(() => {
     const opened = new Episode(spec, task.name, seed);
     const pause = (): void => {
-      if (document.hidden) opened.pause();
+      if (document.hidden) void opened.pause();
     };
     document.addEventListener("visibilitychange", pause);
     setEpisode(opened);
@@ -125,7 +129,7 @@ function Live({ specs, worlds, spec, task, seed }: LiveProps) {
             class={goal ? "main-action" : ""}
             disabled={!canAct && status !== "acting"}
             title={goal ? undefined : "It needs a goal first"}
-            onClick={() => (status === "acting" ? episode.pause() : void episode.run())}
+            onClick={() => void (status === "acting" ? episode.pause() : episode.run())}
           >
             {status === "acting" ? "Pause" : "Act"}
           </button>
@@ -160,7 +164,7 @@ function Live({ specs, worlds, spec, task, seed }: LiveProps) {
         </label>
         <label>
           Seed of the start state
-          <input type="number" min={0} value={seed} onChange={(event) => amend({ seed: event.currentTarget.value })} />
+          <Typed type="number" min={0} value={seed} onValue={(text) => amend({ seed: text })} />
         </label>
         <GoalForm spec={spec} task={task} episode={episode} />
       </div>
@@ -173,7 +177,7 @@ function StatusLine({ episode, goal }: { episode: Episode; goal: Goal | null }) 
   const status = episode.status.value;
   const reply = episode.reply.value;
   const rate = episode.stepsPerSecond.value;
-  const steps = episode.history.value.length;
+  const steps = episode.executed.value.length;
   const words = {
     opening: "The world opens …",
     ready: goal ? "Ready to act." : "Give it a goal, then let it act.",
@@ -203,16 +207,18 @@ function StatusLine({ episode, goal }: { episode: Episode; goal: Goal | null }) 
 }
 
 function Commands({ episode, goal }: { episode: Episode; goal: Goal }) {
+  const executed = episode.executed.value;
   const calls = written({
     origin: location.origin,
     task: episode.task,
     seed: episode.seed,
     session: episode.sessionId,
-    stepId: Math.max(episode.executed.length, 1),
-    camera: episode.spec.cameras[0]!.name,
+    stepId: executed.length,
+    cameras: episode.cameras,
     model: episode.spec.model!.name,
-    actions: episode.history.value.at(-1)?.actions ?? [],
+    actions: executed.at(-1) ?? [],
     goal,
+    needsToken: needsToken.value,
   });
   return (
     <details class="card live-commands">

@@ -1,7 +1,7 @@
 /** The camera beside the goal, the goal flag that fills, and all parts of the goal. */
 import { useSignalEffect } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
-import { SHOWN_SIDE, type Episode } from "./episode";
+import { SHOWN_SIDE, type Episode, type Outcome } from "./episode";
 import { nameOf, partsOf, type Goal, type Landmark } from "./goal";
 
 export function Pictures({ episode }: { episode: Episode }) {
@@ -31,7 +31,7 @@ export function Pictures({ episode }: { episode: Episode }) {
         </figure>
         <Flag episode={episode} />
       </div>
-      {goal && partsOf(goal) > 1 && <Parts goal={goal} at={at} />}
+      {goal && partsOf(goal) > 1 && <Parts goal={goal} at={at} outcomes={episode.outcomes.value} />}
     </>
   );
 }
@@ -64,9 +64,10 @@ function Still({ landmark, name }: { landmark: Landmark; name: string }) {
 /** The goal flag: it fills with the confidence that the goal is reached, up to the threshold and beyond. */
 function Flag({ episode }: { episode: Episode }) {
   const reply = episode.reply.value;
-  const { reached_threshold: threshold } = episode.spec;
+  const { reached_threshold: threshold, goal_form: form } = episode.spec;
   const confidence = reply?.goal_confidence ?? 0;
-  const isReached = confidence >= threshold || reply?.goal_reached === true;
+  // A text is reached after several steps in a row above the threshold.
+  const isReached = reply?.goal_reached === true || (form !== "text" && confidence >= threshold);
   return (
     <div
       class={`flag ${isReached ? "reached" : ""}`}
@@ -87,18 +88,27 @@ function Flag({ episode }: { episode: Episode }) {
   );
 }
 
-function Parts({ goal, at }: { goal: Goal; at: number }) {
+const MARKS = { reached: "✓ ", abandoned: "✗ ", "": "" };
+
+interface PartsProps {
+  readonly goal: Goal;
+  /** Index of the current part. */
+  readonly at: number;
+  readonly outcomes: readonly Outcome[];
+}
+
+function Parts({ goal, at, outcomes }: PartsProps) {
   return (
     <ol class="goal-parts" aria-label="Parts of the goal">
       {Array.from({ length: partsOf(goal) }, (_, index) => (
         <li
           key={index}
-          class={index < at ? "over" : index === at ? "now" : ""}
+          class={outcomes[index] ?? (index === at ? "now" : "")}
           aria-current={index === at ? "step" : undefined}
         >
           {goal.form === "images" && <Still landmark={goal.landmarks[index]!} name={nameOf(goal, index)} />}
           <span>
-            {index < at ? "✓ " : ""}
+            {MARKS[outcomes[index] ?? ""]}
             {goal.form === "images" ? index + 1 : nameOf(goal, index)}
           </span>
         </li>

@@ -5,6 +5,7 @@ import { useRemote } from "../../api/remote";
 import { numbersOf } from "../../api/tensors";
 import type { Grounding, GroundResponse, Tensor } from "../../api/types";
 import { Shown } from "../../parts/notice";
+import { Typed } from "../../parts/typed";
 import { phrasesOf } from "./phrases";
 import type { Shot } from "./scene";
 
@@ -32,7 +33,7 @@ export function Heatmaps({ shot, statement }: { shot: Shot; statement: string })
       <h2 id="heatmaps-title">Where its noun phrases are</h2>
       <label>
         Phrases, separated by commas
-        <input value={text ?? phrases.join(", ")} onChange={(event) => setText(event.currentTarget.value)} />
+        <Typed value={text ?? phrases.join(", ")} onValue={setText} />
       </label>
       <Shown remote={remote} what="heatmaps" retry={retry}>
         {({ answer, shot: seen }) => answer && <Maps shot={seen} answer={answer} />}

@@ -10,10 +10,11 @@ import { amend, query } from "../../url/location";
 import { Answer } from "./answer";
 import { expertShots, fileShots, type Shot } from "./scene";
 
-const CAMERA = "front";
 const FIRST_TASK = "blocks.yellow-left-of-green";
 
-type Outcome = { readonly shots: readonly Shot[]; readonly reward: RewardResponse };
+type Outcome = { readonly shots: readonly Shot[]; readonly text: string; readonly reward: RewardResponse };
+/** Images, and the task or the files that they are of. */
+type Taken = { readonly source: unknown; readonly shots: readonly Shot[] };
 type Work =
   | { readonly state: "idle" }
   | { readonly state: "busy"; readonly what: string }
@@ -40,16 +41,16 @@ function Judge({ tasks }: { tasks: readonly Task[] }) {
   const text = query.value.text ?? task?.goal_text ?? "";
   const [files, setFiles] = useState<readonly File[]>([]);
   const [rivals, setRivals] = useState("");
-  const [shots, setShots] = useState<readonly Shot[]>([]);
+  const [taken, setTaken] = useState<Taken | null>(null);
   const [work, setWork] = useState<Work>({ state: "idle" });
-  useEffect(() => setShots([]), [task?.name, files]);
   useEffect(() => void (task && judge()), []);
   const judge = async (): Promise<void> => {
+    const source = files.length > 0 ? files : task;
+    const known = taken?.source === source ? taken!.shots : null;
     try {
-      setWork({ state: "busy", what: shots.length > 0 ? "the reward" : "the images" });
-      const seen =
-        shots.length > 0 ? shots : files.length > 0 ? await fileShots(files) : await expertShots(task!.name, CAMERA, 7);
-      setShots(seen);
+      setWork({ state: "busy", what: known ? "the reward" : "the images" });
+      const seen = known ?? (await (files.length > 0 ? fileShots(files) : expertShots(task!, 7)));
+      setTaken({ source, shots: seen });
       const more = rivals
         .split("\n")
         .map((each) => each.trim())
@@ -59,7 +60,7 @@ function Judge({ tasks }: { tasks: readonly Task[] }) {
         goal_text: text,
         rivals: more,
       });
-      setWork({ state: "done", outcome: { shots: seen, reward } });
+      setWork({ state: "done", outcome: { shots: seen, text, reward } });
       say(`${reward.rewards.filter((each) => each > 0).length} of ${seen.length} images are rewarded.`);
     } catch (error) {
       setWork({ state: "failed", problem: asProblem(error) });
@@ -134,7 +135,7 @@ function Judge({ tasks }: { tasks: readonly Task[] }) {
           <Answer
             shots={work.outcome.shots}
             reward={work.outcome.reward}
-            text={text}
+            text={work.outcome.text}
             onText={(next) => amend({ text: next })}
           />
         )}

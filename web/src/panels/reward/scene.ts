@@ -1,7 +1,7 @@
 /** The images of a reward, in order: of the expert in a world, or a person's own. */
 import { imageOf, pixelsOf, toBase64 } from "../../api/tensors";
 import { Problem } from "../../api/problem";
-import type { Image, Tensor } from "../../api/types";
+import type { Image, Task, Tensor } from "../../api/types";
 import { frameOf, SimSession } from "../../sim/session";
 import { VideoFrames } from "../segments/frames";
 
@@ -11,15 +11,15 @@ export interface Shot {
   readonly picture: CanvasImageSource & { readonly width: number; readonly height: number };
 }
 
-const MOST_EXPERT_STEPS = 60;
 const MOST_VIDEO_FRAMES = 64;
 
-/** Returns what a camera sees while the scripted expert does a task. */
-export async function expertShots(task: string, camera: string, seed: number): Promise<Shot[]> {
-  const session = await SimSession.create(task, { seed, privileged: true });
+/** Returns what the first camera sees while the scripted expert does a task, until it has finished or the episode ends. */
+export async function expertShots(task: Task, seed: number): Promise<Shot[]> {
+  const camera = task.cameras[0]!.name;
+  const session = await SimSession.create(task.name, { seed, privileged: true });
   try {
     const shots = [await shotOf(frameOf((await session.reset([camera])).frames, camera))];
-    while (shots.length <= MOST_EXPERT_STEPS) {
+    while (shots.length <= task.max_episode_steps) {
       const { actions, isFinished } = await session.expertActions();
       if (isFinished) break;
       shots.push(await shotOf(frameOf((await session.step(actions, [camera])).frames, camera)));
@@ -43,7 +43,7 @@ const ENCODINGS: Readonly<Record<string, Image["encoding"]>> = {
 /** Returns images of files, or frames of a video, evenly spaced. */
 export async function fileShots(files: readonly File[]): Promise<Shot[]> {
   const [first] = files;
-  if (first && !(first.type in ENCODINGS)) return videoShots(first);
+  if (files.length === 1 && !(first!.type in ENCODINGS)) return videoShots(first!);
   return Promise.all(files.map(imageShot));
 }
 
@@ -54,6 +54,7 @@ async function imageShot(file: Blob): Promise<Shot> {
       0,
       "unsupported_media",
       `Images must be PNG, JPEG or WebP files; got ${file.type || "another file"}.`,
+      "A video is taken alone.",
     );
   const data = toBase64(new Uint8Array(await file.arrayBuffer()));
   return { image: { encoding, height: 0, width: 0, data, camera: "" }, picture: await createImageBitmap(file) };
@@ -68,6 +69,14 @@ async function videoShots(file: File): Promise<Shot[]> {
       `This browser cannot decode ${file.name}.`,
       "Drop PNG, JPEG or WebP files of its frames.",
     );
+  try {
+    return await shotsOf(video);
+  } finally {
+    video.close();
+  }
+}
+
+async function shotsOf(video: VideoFrames): Promise<Shot[]> {
   const canvas = new OffscreenCanvas(video.width, video.height);
   const context = canvas.getContext("2d")!;
   const shots: Shot[] = [];
@@ -77,6 +86,5 @@ async function videoShots(file: File): Promise<Shot[]> {
     await video.draw(context as unknown as CanvasRenderingContext2D, ms, box);
     shots.push(await imageShot(await canvas.convertToBlob({ type: "image/png" })));
   }
-  video.close();
   return shots;
 }

@@ -45,7 +45,9 @@ export function JobDetail({ name }: { name: string }) {
       {broken && !isOver(job.state) && <Failed problem={broken} />}
       {job.error && (
         <div class={`notice ${job.state === "failed" ? "failed" : "away"}`} role="alert">
-          <p class="notice-title">{job.state === "failed" ? "Why it failed" : "Why it waits"}</p>
+          <p class="notice-title">
+            {job.state === "failed" ? "Why it failed" : isOver(job.state) ? "Its last error" : "Why it waits"}
+          </p>
           <p>{job.error}</p>
         </div>
       )}

@@ -1,6 +1,5 @@
 /** All jobs of all services, newest first. */
-import { memo } from "preact/compat";
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { useRemote } from "../../api/remote";
 import { Link } from "../../parts/link";
 import { Empty, Failed, Shown } from "../../parts/notice";
@@ -119,9 +118,12 @@ interface RowProps {
   readonly compared: string | undefined;
 }
 
-const Row = memo(JobRow, (before, after) => before.job.time === after.job.time && before.compared === after.compared);
+/** Drawn again when the job or the choice has changed. */
+function Row({ job, compared }: RowProps) {
+  return useMemo(() => rowOf(job, compared), [job.time, compared]);
+}
 
-function JobRow({ job, compared: first }: RowProps) {
+function rowOf(job: Job, first: string | undefined) {
   const name = `${job.owner}/${job.id}`;
   return (
     <tr>

@@ -7,9 +7,11 @@ import { fromBase64 } from "../../api/tensors";
 import type { Dataset, GetTrajectoryResponse, Image, ListSkillsResponse } from "../../api/types";
 import { Link } from "../../parts/link";
 import { Empty, Failed, Loading, Shown } from "../../parts/notice";
+import { Typed } from "../../parts/typed";
 import { amend, query } from "../../url/location";
+import { withEdits } from "./editor";
 import { PagedFrames } from "./frames";
-import { describeModel, type Recording } from "./recording";
+import { describeModel, timesAtRate, type Recording } from "./recording";
 import { listModels } from "./video";
 
 const PAGE = 64;
@@ -66,7 +68,7 @@ function Trajectory({ datasets, dataset, index, children }: TrajectoryProps) {
   const [recording, setRecording] = useState<Recording | null>(null);
   const trajectory = remote.state === "ready" ? remote.value : null;
   useEffect(() => {
-    if (trajectory) setRecording(recordingOf(dataset, index, trajectory));
+    if (trajectory) setRecording(withEdits(recordingOf(dataset, index, trajectory)));
   }, [trajectory]);
   const form = (
     <div class="stacked">
@@ -85,7 +87,7 @@ function recordingOf(dataset: Dataset, index: number, trajectory: GetTrajectoryR
   return {
     title: `${dataset.name}, trajectory ${index}${trajectory.goal_text ? `: ${trajectory.goal_text}` : ""}`,
     timesteps: trajectory.timesteps,
-    fps: dataset.fps || 1,
+    time_s: timesAtRate(trajectory.timesteps, dataset.fps || 1),
     skills: trajectory.known_skills,
     segments: labels.filter((each) => each.skill !== ""),
     confidence: [],
@@ -132,12 +134,12 @@ function Picker({ datasets, dataset, index }: { datasets: readonly Dataset[]; da
       </label>
       <label>
         Trajectory, 0 to {dataset.trajectories - 1}
-        <input
+        <Typed
           type="number"
           min={0}
           max={dataset.trajectories - 1}
           value={index}
-          onChange={(event) => amend({ index: event.currentTarget.value, t: "" })}
+          onValue={(text) => amend({ index: text, t: "" })}
         />
       </label>
     </>
@@ -190,6 +192,9 @@ function SegmentForm({ dataset, index, trajectory, onRecording }: SegmentFormPro
             <button type="submit" class="main-action" disabled={isBusy}>
               {isBusy ? "Segmenting …" : "Segment"}
             </button>
+            <p class="faint">
+              The model sees the frames as JPEG files, so labels may differ from those of <code>freerein segment</code>.
+            </p>
             {problem && <Failed problem={problem} />}
           </form>
         );

@@ -2,13 +2,15 @@
 import framesUrl from "../../demonstration/frames.webp";
 import labels from "../../demonstration/labels.json";
 import { TiledFrames } from "./frames";
-import { describeModel, type Recording } from "./recording";
+import { describeModel, timesAtRate, type Recording } from "./recording";
+
+let opened: Recording | undefined;
 
 export function openDemonstration(): Recording {
-  return {
+  return (opened ??= {
     title: `A robot sorts groceries: a demonstration in the world ${labels.world}`,
     timesteps: labels.confidence.length,
-    fps: labels.fps,
+    time_s: timesAtRate(labels.confidence.length, labels.fps),
     skills: labels.skills,
     segments: labels.segments,
     confidence: labels.confidence,
@@ -16,5 +18,5 @@ export function openDemonstration(): Recording {
     frames: new TiledFrames(framesUrl, labels.side, labels.side, labels.columns),
     labelledBy: describeModel(labels.model),
     saved: null,
-  };
+  });
 }

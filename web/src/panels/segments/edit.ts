@@ -30,6 +30,13 @@ export function editing(segments: readonly Segment[], timesteps: number): Edited
   return { segments: whole, past: [], future: [] };
 }
 
+/** Begins with other segments of what was edited: undo goes back to the edits. */
+export function editingAgain(before: Edited, segments: readonly Segment[], timesteps: number): Edited {
+  const begun = editing(segments, timesteps);
+  const isSame = before.segments.at(-1)?.end === timesteps;
+  return isSame ? { ...begun, past: [...before.past, before.segments] } : begun;
+}
+
 /** Returns the index of the segment that has a timestep. */
 export function indexAt(segments: readonly Segment[], timestep: number): number {
   let low = 0;

@@ -5,17 +5,27 @@ import { amend, query } from "../../url/location";
 import * as edit from "./edit";
 import { timeOf, timestepAt, type Recording } from "./recording";
 
+/** Recordings with edits that are not saved, by title: they are kept until the page is closed. */
+const unsaved = new Map<string, { readonly recording: Recording; readonly edited: edit.Edited }>();
+
+/** Returns a recording as it was when its unsaved edits were left; without any, itself. */
+export function withEdits(recording: Recording): Recording {
+  return unsaved.get(recording.title)?.recording ?? recording;
+}
+
 export class Editor {
   readonly edited: Signal<edit.Edited>;
   readonly timestep: Signal<number>;
   readonly isPlaying = signal(false);
+  /** What is saved as labels of the dataset; null before it is. */
+  readonly saved = signal<readonly edit.Segment[] | null>(null);
   /** Index of the segment that has the timestep. */
   readonly current: ReadonlySignal<number>;
   private dragged: edit.Edited | null = null;
   private readonly stopPlayer: () => void;
 
   constructor(readonly recording: Recording) {
-    this.edited = signal(edit.editing(recording.segments, recording.timesteps));
+    this.edited = signal(begin(recording));
     this.timestep = signal(timestepAt(recording, Number(query.peek().t ?? 0)));
     this.current = computed(() => edit.indexAt(this.segments, this.timestep.value));
     this.stopPlayer = effect(() => (this.isPlaying.value ? this.play() : undefined));
@@ -23,7 +33,9 @@ export class Editor {
 
   close(): void {
     this.stopPlayer();
-    this.recording.frames?.close();
+    if (this.isChanged && !this.isSaved)
+      unsaved.set(this.recording.title, { recording: this.recording, edited: this.edited.peek() });
+    else unsaved.delete(this.recording.title);
   }
 
   get segments(): readonly edit.Segment[] {
@@ -32,6 +44,10 @@ export class Editor {
 
   get isChanged(): boolean {
     return this.edited.value.past.length > 0;
+  }
+
+  get isSaved(): boolean {
+    return this.saved.value === this.segments;
   }
 
   goTo(timestep: number): void {
@@ -112,10 +128,15 @@ export class Editor {
   }
 
   private play(): () => void {
-    const timer = window.setInterval(() => {
-      if (this.timestep.peek() >= this.recording.timesteps - 1) this.isPlaying.value = false;
-      else this.goTo(this.timestep.peek() + 1);
-    }, 1000 / this.recording.fps);
+    const { time_s, timesteps } = this.recording;
+    const [begins_s, ends_s] = [time_s[0]!, time_s[timesteps]!];
+    const timer = window.setInterval(
+      () => {
+        if (this.timestep.peek() >= this.recording.timesteps - 1) this.isPlaying.value = false;
+        else this.goTo(this.timestep.peek() + 1);
+      },
+      (1000 * (ends_s - begins_s)) / timesteps,
+    );
     return () => window.clearInterval(timer);
   }
 
@@ -123,4 +144,11 @@ export class Editor {
     if (!this.isPlaying.peek() && this.timestep.peek() >= this.recording.timesteps - 1) this.goTo(0);
     this.isPlaying.value = !this.isPlaying.peek();
   }
+}
+
+function begin(recording: Recording): edit.Edited {
+  const before = unsaved.get(recording.title);
+  if (before?.recording === recording) return before.edited;
+  const { segments, timesteps } = recording;
+  return before ? edit.editingAgain(before.edited, segments, timesteps) : edit.editing(segments, timesteps);
 }

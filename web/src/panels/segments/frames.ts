@@ -14,7 +14,8 @@ export interface Frames {
   draw(context: CanvasRenderingContext2D, timestep: number, box: Box): Promise<boolean>;
   /** Draws a frame whose neighbours are not wanted. */
   drawAlone?(context: CanvasRenderingContext2D, timestep: number, box: Box): Promise<boolean>;
-  close(): void;
+  /** Frees what no garbage collector does. */
+  close?(): void;
 }
 
 /** Frames as tiles of one image, row by row. */
@@ -38,10 +39,6 @@ export class TiledFrames implements Frames {
     const from = [column * this.width, row * this.height, this.width, this.height] as const;
     context.drawImage(await this.image, ...from, x, y, width, height);
     return true;
-  }
-
-  close(): void {
-    // The image goes with the page.
   }
 }
 
@@ -72,7 +69,9 @@ export class VideoFrames implements Frames {
       video.addEventListener("loadeddata", () => resolve(video.videoWidth > 0), { once: true });
       video.addEventListener("error", () => resolve(false), { once: true });
     });
-    return isShown ? new VideoFrames(video, timeOf) : null;
+    if (isShown) return new VideoFrames(video, timeOf);
+    release(video);
+    return null;
   }
 
   /** One after the other: a video is at one time at once. */
@@ -89,16 +88,22 @@ export class VideoFrames implements Frames {
   private seek(time: number): Promise<void> {
     const to = Math.min(time, Math.max(0, this.video.duration - 0.001));
     if (Math.abs(this.video.currentTime - to) < 1e-4) return Promise.resolve();
-    return new Promise((resolve) => {
-      this.video.addEventListener("seeked", () => resolve(), { once: true });
+    return new Promise((resolve, reject) => {
+      this.video.onseeked = () => resolve();
+      this.video.onerror = () => reject(new Error("The browser cannot decode the video here."));
       this.video.currentTime = to;
     });
   }
 
   close(): void {
-    URL.revokeObjectURL(this.video.src);
-    this.video.removeAttribute("src");
+    release(this.video);
   }
+}
+
+function release(video: HTMLVideoElement): void {
+  URL.revokeObjectURL(video.src);
+  video.removeAttribute("src");
+  video.load();
 }
 
 const PAGE = 64;
@@ -145,9 +150,5 @@ export class PagedFrames implements Frames {
       this.pages.delete(index);
       throw error;
     }
-  }
-
-  close(): void {
-    this.pages.clear();
   }
 }

@@ -1,4 +1,5 @@
 /** Segments: a recording with its skill bar, to look at, to correct, and to take away. */
+import { signal } from "@preact/signals";
 import { useEffect, useState } from "preact/hooks";
 import type { ComponentChildren } from "preact";
 import { Icon } from "../../parts/icon";
@@ -8,7 +9,7 @@ import { DatasetSource } from "./dataset";
 import { openDemonstration } from "./demonstration";
 import { Editor } from "./editor";
 import { Stage } from "./picture";
-import type { Recording } from "./recording";
+import { timeOf, type Recording } from "./recording";
 import { SegmentTable } from "./table";
 import { TakeAway } from "./take_away";
 import { KEYS, Timeline } from "./timeline";
@@ -20,13 +21,20 @@ const SOURCES = [
   { name: "video", title: "Your video" },
 ];
 
+/** The video of this visit, and its labels. */
+const file = signal<File | null>(null);
+const segmented = signal<Recording | null>(null);
+
+function show(recording: Recording | null): void {
+  segmented.peek()?.frames?.close?.();
+  segmented.value = recording;
+}
+
 export function SegmentsPanel() {
   const source = SOURCES.some((each) => each.name === query.value.source) ? query.value.source! : "demonstration";
-  const [file, setFile] = useState<File | null>(null);
-  const [segmented, setSegmented] = useState<Recording | null>(null);
   const take = (taken: File): void => {
-    setFile(taken);
-    setSegmented(null);
+    file.value = taken;
+    show(null);
     if (source !== "video") open({ view: "segments", source: "video", t: "" });
   };
   const drop = (event: DragEvent): void => {
@@ -35,7 +43,7 @@ export function SegmentsPanel() {
     event.preventDefault();
     take(dropped);
   };
-  const form = source === "video" && <VideoForm file={file} onFile={take} onRecording={setSegmented} />;
+  const form = source === "video" && <VideoForm file={file.value} onFile={take} onRecording={show} />;
   return (
     <div onDragOver={(event) => event.preventDefault()} onDrop={drop}>
       <div class="heading">
@@ -56,25 +64,20 @@ export function SegmentsPanel() {
         Which skill is in use at each moment of a recording, found by a model. Drag a boundary or rename a skill to
         correct it.
       </p>
-      {source === "demonstration" && <Demonstration />}
+      {source === "demonstration" && <Viewer recording={openDemonstration()} />}
       {source === "dataset" && (
         <DatasetSource>
           {(recording, picker) => <Viewer recording={recording} aside={picker} asideTitle="Trajectory" />}
         </DatasetSource>
       )}
       {source === "video" &&
-        (segmented ? (
-          <Viewer recording={segmented} aside={form} asideTitle="Segment another video" />
+        (segmented.value ? (
+          <Viewer recording={segmented.value} aside={form} asideTitle="Segment another video" />
         ) : (
           <div class="card narrow">{form}</div>
         ))}
     </div>
   );
-}
-
-function Demonstration() {
-  const [recording] = useState(openDemonstration);
-  return <Viewer recording={recording} />;
 }
 
 /** A recording, its labels and what can be done to them. */
@@ -162,7 +165,7 @@ function Transport({ editor }: { editor: Editor }) {
     ["Timestep after", "after", () => editor.goTo(editor.timestep.value + 1)],
     ["Boundary after", "boundaryAfter", () => editor.goToBoundary(1)],
   ] as const;
-  const seconds = editor.timestep.value / editor.recording.fps;
+  const seconds = timeOf(editor.recording, editor.timestep.value);
   return (
     <div class="transport">
       {buttons.map(([name, icon, act], index) => (

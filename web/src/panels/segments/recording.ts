@@ -9,7 +9,8 @@ export const UNFAMILIAR = 0.03;
 export interface Recording {
   readonly title: string;
   readonly timesteps: number;
-  readonly fps: number;
+  /** When each of the timesteps begins, and the last one ends, in seconds: one more than timesteps. */
+  readonly time_s: readonly number[];
   readonly skills: readonly string[];
   /** In order; between them nothing has a skill. */
   readonly segments: readonly Segment[];
@@ -25,15 +26,31 @@ export interface Recording {
   readonly saved: { readonly dataset: string; readonly index: number } | null;
 }
 
-/** Returns when a timestep begins, in seconds. */
-export function timeOf(recording: Recording, timestep: number): number {
-  return timestep / recording.fps;
+/** Returns times with a constant number of timesteps per second. */
+export function timesAtRate(timesteps: number, fps: number): number[] {
+  return Array.from({ length: timesteps + 1 }, (_, timestep) => timestep / fps);
 }
+
+const ONE_FRAME_S = 0.1;
+
+/** Returns times of a video, given when its timesteps begin; the last one lasts as long as the others at the median. */
+export function timesOfVideo(begins: readonly number[]): number[] {
+  const lengths = begins.slice(1).map((each, index) => each - begins[index]!);
+  const median = lengths.sort((a, b) => a - b)[lengths.length >> 1] ?? ONE_FRAME_S;
+  return [...begins, begins.at(-1)! + median];
+}
+
+/** Returns when a timestep begins, in seconds; of the one after the last, when the last one ends. */
+export function timeOf(recording: Recording, timestep: number): number {
+  return recording.time_s[timestep]!;
+}
+
+const ROUNDING_S = 0.001; // times in addresses are rounded to it
 
 /** Returns the timestep at a time in seconds, within the recording. */
 export function timestepAt(recording: Recording, seconds: number): number {
-  const timestep = Math.floor(seconds * recording.fps + 1e-6);
-  return Math.min(Math.max(Number.isFinite(timestep) ? timestep : 0, 0), recording.timesteps - 1);
+  const timestep = recording.time_s.findLastIndex((begin) => begin < seconds + ROUNDING_S);
+  return Math.min(Math.max(timestep, 0), recording.timesteps - 1);
 }
 
 /** Returns runs of equal labels as segments; labels below 0 have none. */

@@ -1,5 +1,6 @@
 /** The segments as a table: every number of the bar as text, and every edit without a mouse. */
 import { useState } from "preact/hooks";
+import { Typed } from "../../parts/typed";
 import * as edit from "./edit";
 import type { Editor } from "./editor";
 import { skillClass } from "./picture";
@@ -71,16 +72,14 @@ function Row({ editor, index, segment }: { editor: Editor; index: number; segmen
         <SkillInput editor={editor} index={index} skill={segment.skill} label={`Skill of ${number}`} />
       </td>
       <td>
-        <input
+        <Typed
           type="number"
           aria-label={`Begin of ${number}, in timesteps`}
           value={segment.start}
           disabled={index === 0}
           min={0}
           max={recording.timesteps - 1}
-          onChange={(event) =>
-            editor.change(edit.moveBoundary(editor.edited.value, index, event.currentTarget.valueAsNumber || 0))
-          }
+          onValue={(text) => text && editor.change(edit.moveBoundary(editor.edited.value, index, Number(text)))}
         />
       </td>
       <td class="number end" title={`${timeOf(recording, segment.end).toFixed(2)} s`}>
@@ -110,7 +109,7 @@ function SkillInput(props: { editor: Editor; index: number; skill: string; label
     if (name === "" || edit.isSkillName(name)) editor.change(edit.rename(editor.edited.value, index, name));
   };
   return (
-    <input
+    <Typed
       class="skill-input"
       list="skills"
       aria-label={props.label}
@@ -118,7 +117,7 @@ function SkillInput(props: { editor: Editor; index: number; skill: string; label
       title={isBad ? "A name has lower-case letters, digits, dots, dashes and underscores." : undefined}
       value={skill}
       placeholder="no skill"
-      onChange={(event) => rename(event.currentTarget.value.trim())}
+      onValue={(text) => rename(text.trim())}
     />
   );
 }

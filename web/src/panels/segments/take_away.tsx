@@ -40,8 +40,7 @@ export function TakeAway({ editor }: { editor: Editor }) {
 
 function SaveLabels({ editor, saved }: { editor: Editor; saved: { dataset: string; index: number } }) {
   const [problem, setProblem] = useState<Problem | null>(null);
-  const [savedSegments, setSaved] = useState<unknown>(null);
-  const isSaved = savedSegments === editor.segments;
+  const { isSaved } = editor;
   const save = async (): Promise<void> => {
     setProblem(null);
     const segments = editor.segments;
@@ -50,7 +49,7 @@ function SaveLabels({ editor, saved }: { editor: Editor; saved: { dataset: strin
         ...saved,
         segments: segments.map(({ start, end, skill }) => ({ start, end, skill })),
       });
-      setSaved(segments);
+      editor.saved.value = segments;
       say("Labels saved");
     } catch (error) {
       setProblem(asProblem(error));

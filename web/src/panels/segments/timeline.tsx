@@ -4,7 +4,7 @@ import { thin } from "../../curves/thin";
 import type { Segment } from "./edit";
 import type { Editor } from "./editor";
 import { Filmstrip, skillClass } from "./picture";
-import { timeOf, unfamiliarSpans, type Recording } from "./recording";
+import { timeOf, timestepAt, unfamiliarSpans, type Recording } from "./recording";
 
 const GRAB_PX = 9;
 const HEIGHT = 100;
@@ -108,20 +108,29 @@ function Unfamiliar({ recording }: { recording: Recording }) {
 }
 
 function Axis({ recording }: { recording: Recording }) {
-  const seconds = timeOf(recording, recording.timesteps);
+  const [begins, ends] = [timeOf(recording, 0), timeOf(recording, recording.timesteps)];
+  const seconds = ends - begins;
   const step =
     [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600].find((each) => seconds / each <= 8) ?? 3600;
-  const marks = Array.from({ length: Math.floor(seconds / step) + 1 }, (_, index) => index * step);
+  const first = Math.ceil(begins / step);
+  const marks = Array.from({ length: Math.floor(ends / step) - first + 1 }, (_, index) => (first + index) * step);
   return (
     <div class="axis" aria-hidden="true">
-      {marks.map((each) => (
-        <span key={each} style={{ left: `${(100 * each) / seconds}%` }}>
+      {marks.map((each, index) => (
+        <span key={each} style={{ left: percent(placeOf(recording, each), recording) }}>
           {Math.round(each * 10) / 10}
-          {each === 0 ? " s" : ""}
+          {index === 0 ? " s" : ""}
         </span>
       ))}
     </div>
   );
+}
+
+/** Returns where a time is, in timesteps and their fractions. */
+function placeOf(recording: Recording, seconds: number): number {
+  const timestep = timestepAt(recording, seconds);
+  const begin = timeOf(recording, timestep);
+  return timestep + (seconds - begin) / (timeOf(recording, timestep + 1) - begin);
 }
 
 function percent(timesteps: number, recording: Recording): string {

@@ -7,9 +7,7 @@ import type { ListSkillsResponse } from "../../api/types";
 import { Failed, Shown } from "../../parts/notice";
 import { parseActions } from "./actions";
 import { VideoFrames } from "./frames";
-import { describeModel, type Recording } from "./recording";
-
-const DEFAULT_FPS = 10;
+import { describeModel, timesOfVideo, type Recording } from "./recording";
 
 export function VideoForm(props: {
   file: File | null;
@@ -113,19 +111,17 @@ async function segmentVideo(
   form.set("resize", "true");
   form.set("smoothing", String(smoothing));
   form.set("model.name", model.model!.name);
-  if (actions) form.set("actions", JSON.stringify(parseActions(await actions.text(), model.action_choices > 0)));
+  if (actions) form.set("actions", JSON.stringify(parseActions(await actions.text(), model.action_choices)));
   const answer = await upload("segmentation/segment", form);
-  const duration = (answer.time_s.at(-1) ?? 0) + (answer.time_s[1] ?? 0) - (answer.time_s[0] ?? 0);
-  const fps = answer.fps || (duration > 0 ? answer.labels.length / duration : DEFAULT_FPS);
   return {
     title: file.name,
     timesteps: answer.labels.length,
-    fps,
+    time_s: timesOfVideo(answer.time_s),
     skills: answer.skills,
     segments: answer.segments.map((each) => ({ start: each.start, end: each.end, skill: each.skill })),
     confidence: answer.confidence,
     inDistribution: answer.in_distribution,
-    frames: await VideoFrames.open(file, (timestep) => answer.time_s[timestep] ?? timestep / fps),
+    frames: await VideoFrames.open(file, (timestep) => answer.time_s[timestep]!),
     labelledBy: describeModel(answer.model),
     saved: null,
   };

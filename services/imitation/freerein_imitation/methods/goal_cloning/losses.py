@@ -37,6 +37,7 @@ from freerein_imitation.methods.shared.frame_features import (
     fit_in_distribution,
     trajectory_statistics,
 )
+from freerein_imitation.methods.shared.goal_images.recognizer_losses import goals_ahead
 from freerein_imitation.methods.shared.losses import action_cross_entropy
 from freerein_imitation.methods.shared.views import SharedView
 
@@ -135,8 +136,7 @@ class GoalCloningLearner(Learner[GoalCloningNetwork]):
             recognizer.spread.copy_(self._spread(network, features))
         self._fit_change_head(network, features)
         for each in features[0]:
-            ahead = np.arange(len(each)) + rng.integers(1, config.far_steps, len(each), endpoint=True)
-            reached.append(recognizer(each, each[np.minimum(ahead, len(each) - 1)]))
+            reached.append(recognizer(each, each[goals_ahead(len(each), rng, far_steps=config.far_steps)]))
         fit_in_distribution(
             network,
             self.training,
