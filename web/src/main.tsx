@@ -1,5 +1,4 @@
 /** The page: mounts the shell. */
-import "preact/compat";
 import { render } from "preact";
 import "./styles/page.css";
 import { Shell } from "./shell";
