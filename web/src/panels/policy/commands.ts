@@ -44,15 +44,12 @@ function create(calls: Calls): Written {
 
 function act(calls: Calls): Written {
   const { cameras, model, goal } = calls;
-  /** A file as a part of the form; one of several cameras as JSON, which names it. */
-  const image = (field: string, file: string, camera: string): string =>
-    cameras.length === 1
-      ? `-F ${field}=@${file}.png`
-      : `-F '${field}={"encoding":"png","camera":"${camera}","data":"'$(base64 -w0 ${file}.png)'"}'`;
   const parts =
     goal.form === "images"
-      ? goal.landmarks.flatMap((_, index) =>
-          cameras.map((each) => image("goal.images", `landmark${index + 1}-${each}`, each)),
+      ? imageParts(
+          "goal.images",
+          goal.landmarks.map((_, index) => `landmark${index + 1}-`),
+          cameras,
         )
       : goal.form === "recipe"
         ? goal.skills.map((each) => `-F goal.recipe=${each}`)
@@ -69,7 +66,7 @@ function act(calls: Calls): Written {
     name: "Act",
     curl: [
       `${curl(calls, "imitation/v1/act?tensors=list")} -F model.name=${model}`,
-      ...cameras.map((each) => image("observation.images", each, each)),
+      ...imageParts("observation.images", [""], cameras),
       ...parts,
     ].join(" \\\n  "),
     python: [
@@ -87,6 +84,16 @@ function act(calls: Calls): Written {
       `    reply = policy.act(ActRequest(model=ModelRef(${JSON.stringify(model)}), observation=seen, goal=goal))`,
     ].join("\n"),
   };
+}
+
+/** Returns images of all cameras as parts of a form: files or, of several cameras, JSON that names them. */
+function imageParts(field: string, prefixes: readonly string[], cameras: readonly string[]): string[] {
+  const files = prefixes.flatMap((prefix) => cameras.map((camera) => ({ camera, name: `${prefix}${camera}.png` })));
+  if (cameras.length === 1) return files.map(({ name }) => `-F ${field}=@${name}`);
+  const images = files.map(
+    ({ camera, name }) => `{"encoding":"png","camera":"${camera}","data":"'$(base64 -w0 ${name})'"}`,
+  );
+  return [`-F '${field}=[${images.join(",")}]'`];
 }
 
 function step(calls: Calls): Written {
