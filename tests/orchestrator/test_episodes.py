@@ -1,6 +1,8 @@
 """Episodes of a policy: their seeds, states of simulations that diverged, and experts of episodes that follow."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,10 +11,11 @@ import pytest
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput
-from freerein.types.common import Goal
+from freerein.types.common import Goal, ModelRef, Observation, Timing
+from freerein.types.imitation import ActRequest, ActResponse
 from freerein.types.sim import CreateSessionRequest, DrawRecipesRequest, ExpertActionsRequest, ResetRequest, Truth
 from freerein_orchestrator.envs.episodes import derive_seed, finite_truth, open_session
-from freerein_orchestrator.envs.policies import PolicySession, expert_policy
+from freerein_orchestrator.envs.policies import PolicySession, ServedPolicy, expert_policy
 from freerein_orchestrator.kinds.distill.rollouts import RolloutPlan
 
 
@@ -62,3 +65,20 @@ def test_an_expert_is_asked_for_its_goal_in_the_first_episode_alone(
         assert output.goal_index is not None
         assert output.goal_index.tolist() == [0, 0]
         expert.act({}, np.zeros(2, np.bool_))
+
+
+def test_a_served_policy_is_asked_of_first_episodes_alone() -> None:
+    asked: list[bytes] = []
+
+    def act(request: ActRequest) -> ActResponse:
+        asked.append(request.state)
+        return ActResponse(np.ones((1, 2), np.float32), 0.5, 0, False, 1.0, b"later", ModelRef(), Timing())
+
+    frames = {"front": np.zeros((2, 4, 4, 3), np.uint8)}
+    with ThreadPoolExecutor(1) as pool:
+        hold = np.zeros((1, 2), np.float32)
+        policy = ServedPolicy(SimpleNamespace(act=act), 2 * [ActRequest(Observation(), Goal())], hold, pool)  # type: ignore[arg-type]
+        starts = np.array([[1, 1], [0, 0], [0, 1], [0, 0]], np.bool_)
+        actions = [policy.act(frames, each).actions[:, 0].tolist() for each in starts]
+    assert actions == [[1, 1], [1, 1], [1, 0], [1, 0]]
+    assert asked == [b"", b"", b"later", b"later", b"later", b"later"]

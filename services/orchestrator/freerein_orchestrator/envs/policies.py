@@ -225,7 +225,8 @@ class _ExpertPolicy:
 class ServedPolicy:
     """Calls the imitation service once per environment, concurrently, so that it batches the calls.
 
-    An environment whose goals are all over holds: its last answer stays.
+    An environment whose goals are all over holds: its last answer stays. So it does after its first episode, for nobody
+    records another one.
 
     Attributes:
         hold: The action that holds, (1, A).
@@ -240,14 +241,16 @@ class ServedPolicy:
         self._pool = pool
         self._requests = list(requests)
         self._replies: list[ActResponse | None] = [None] * len(requests)
+        self._episodes = np.zeros(len(requests), np.int64)
 
     def act(self, frames: Mapping[str, Frames], episode_starts: npt.NDArray[np.bool_]) -> PolicyOutput:
         """Returns an action per environment, and how far each is, as `BatchPolicy.act`."""
-        for env in np.flatnonzero(episode_starts).tolist():
-            self._requests[env], self._replies[env] = self._first_requests[env], None
+        self._episodes += episode_starts
+        acts = (self._episodes == 1).tolist()
         observed = [{camera: frame[env] for camera, frame in frames.items()} for env in range(len(self._requests))]
-        replies = list(self._pool.map(self._answer, self._requests, self._replies, observed))
-        actions = [reply.actions[:1] if len(reply.actions) else self.hold for reply in replies]
+        replies = list(self._pool.map(self._answer, self._requests, self._replies, observed, acts))
+        answers = zip(replies, acts, strict=True)
+        actions = [reply.actions[:1] if is_acting and len(reply.actions) else self.hold for reply, is_acting in answers]
         self._replies = list(replies)
         self._requests = [
             replace(request, state=reply.state, executed_actions=executed)
@@ -265,8 +268,10 @@ class ServedPolicy:
         executed = self._requests[env].executed_actions
         self._requests[env], self._replies[env] = replace(self._first_requests[env], executed_actions=executed), None
 
-    def _answer(self, request: ActRequest, last: ActResponse | None, frames: Mapping[str, Frames]) -> ActResponse:
-        if last is not None and not len(last.actions):
+    def _answer(
+        self, request: ActRequest, last: ActResponse | None, frames: Mapping[str, Frames], is_acting: bool
+    ) -> ActResponse:
+        if last is not None and not (is_acting and len(last.actions)):
             return last
         observation = Observation(tuple(encode_raw(frame, camera) for camera, frame in frames.items()))
         return self._imitation.act(replace(request, observation=observation))
