@@ -67,6 +67,15 @@ def test_a_damaged_checkpoint_is_replaced_when_its_step_is_reached_again(tmp_pat
     assert newest(tmp_path) == (2, [])
 
 
+@pytest.mark.fault("O3")
+def test_damaged_checkpoints_of_later_steps_are_not_kept_in_place_of_new_ones(tmp_path: Path) -> None:
+    for step in (7, 8, 9):
+        checkpoints.save(tmp_path, make(step))
+        (tmp_path / f"step-{step:09d}" / "state.json").write_bytes(b"{")
+    checkpoints.save(tmp_path, make(1))
+    assert (newest(tmp_path), steps(tmp_path)) == ((1, []), ["step-000000001"])
+
+
 def test_what_a_crash_left_unfinished_is_neither_read_nor_in_the_way(tmp_path: Path) -> None:
     checkpoints.save(tmp_path, make(1))
     unfinished = tmp_path / "step-000000002.tmp"

@@ -1,4 +1,5 @@
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,17 @@ def test_a_fit_leaves_a_policy_that_knows_what_its_actions_mean(data_dir: Path, 
     assert (policy.spec.goal_form, policy.spec.action) == ("images", ACTION)
     assert policy.spec.cameras == (Camera("front", 12, 12, 3),)
     assert (policy.spec.control_dt_s, policy.spec.max_steps_per_goal) == (0.04, 30)
+
+
+@pytest.mark.fault("O3")
+def test_the_log_of_a_fit_tells_what_was_passed_over(data_dir: Path, run_fit: Any, run_child: Any) -> None:
+    folder = run_fit(data_dir, "play", {**TINY, "checkpoint_every": 1}).parent
+    (folder / "checkpoints" / "step-000000002" / "state.json").write_bytes(b"{")
+    (folder / "checkpoints" / "step-000000001" / "state.json").write_bytes(b"{")
+    shutil.rmtree(folder / "model")
+    code, log = run_child("freerein_imitation.fit_child", folder, data_dir, "cpu")
+    told = [line.partition(" A ")[0] for line in log.splitlines() if "passed over" in line]
+    assert (code, told) == (0, [f"The checkpoint of step {step} is passed over." for step in (2, 1)])
 
 
 def test_a_policy_learns_from_all_cameras_that_are_asked_for(data_dir: Path, run_fit: Any) -> None:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pytest
 from tests.faults import faulty_policy as policies
 
-from freerein.errors import FailedPrecondition, InvalidInput, MalformedRequest
+from freerein.errors import FailedPrecondition, InvalidInput, MalformedRequest, ServiceError
 from freerein.serving.batcher import Batcher
 from freerein.serving.limits import FEW_VALUES, MAX_INLINE_BYTES, MAX_VALUES
 from freerein.serving.metrics import Metrics
@@ -31,14 +31,14 @@ Ask = Callable[..., Any]
 
 
 @pytest.fixture
-async def connect() -> AsyncIterator[Callable[[bool], Ask]]:
+async def connect() -> AsyncIterator[Callable[..., Ask]]:
     """Returns how a robot asks for actions; its actions are targets, or changes."""
     batcher = Batcher(PolicyRunner().run_batch, queue=8, batch=8, metrics=Metrics())
 
-    def make(absolute: bool) -> Ask:
+    def make(absolute: bool, *, most: int = 100) -> Ask:
         policy = policies.FaultyPolicy(7)
         policy.spec = replace(policy.spec, action=replace(policy.spec.action, absolute=absolute))
-        query = OpenpiQuery(ModelRef(), None, 100, 0)
+        query = OpenpiQuery(ModelRef(), None, most, 0)
         connection = OpenpiConnection(ModelRef("targets", "1"), policy, query, batcher)
 
         async def ask(brightness: int, **values: Any) -> Any:
@@ -70,6 +70,23 @@ async def test_a_robot_of_targets_holds_at_the_last_one(connect: Callable[[bool]
     np.testing.assert_array_equal(await ask(GOAL), proposed[[-1] * 3])
     clipped = np.array([[0.5, -0.5], [0.25, 0.75]], np.float32)
     np.testing.assert_array_equal(await ask(GOAL, executed_actions=clipped), clipped[[-1] * 3])
+
+
+async def test_a_robot_of_targets_holds_at_the_last_one_of_another_goal(connect: Callable[..., Ask]) -> None:
+    ask, other = connect(True), GOAL + 2
+    await ask(0)
+    proposed = await ask(0)
+    np.testing.assert_array_equal(await ask(other, **{"goal/front": frame(other)}), proposed[[-1] * 3])
+
+
+async def test_actions_count_once_though_observations_after_them_are_not_answered(connect: Callable[..., Ask]) -> None:
+    ask, unanswered = connect(False, most=6), frame(0)
+    unanswered[0, 0, 0] = policies.RAISES
+    await ask(0)
+    for _ in range(2):  # 3 actions, then 1 that is repeated
+        with pytest.raises(ServiceError):
+            await ask(0, **{"observation/front": unanswered})
+    assert (await ask(0)).any()
 
 
 async def test_a_robot_of_targets_that_was_told_none_is_not_sent_anywhere(connect: Callable[[bool], Ask]) -> None:
@@ -229,6 +246,12 @@ def refused(spec: Any, message: dict[str, Any]) -> InvalidInput:
     with pytest.raises(InvalidInput) as error:
         parse_observation(spec, message)
     return error.value
+
+
+def test_a_picture_without_pixels_is_refused_though_others_are_resized() -> None:
+    message = {"observation/front": np.zeros((0, 4, 3), np.uint8), "goal/front": frame(GOAL)}
+    with pytest.raises(InvalidInput, match=r"got uint8 \(0, 4, 3\)"):
+        parse_observation(policies.FaultyPolicy(7).spec, message, resizes=True)
 
 
 def test_keys_of_another_robot_are_named_and_where_its_picture_belongs() -> None:

@@ -42,7 +42,7 @@ class Checkpoint:
 
 
 def save(folder: Path, checkpoint: Checkpoint) -> None:
-    """Writes a checkpoint, then deletes all but the newest `KEPT`.
+    """Writes a checkpoint, then deletes those of later steps, which were corrupt, and all but the newest `KEPT`.
 
     Raises OSError when the disk is full or broken; earlier checkpoints are untouched.
     """
@@ -59,7 +59,9 @@ def save(folder: Path, checkpoint: Checkpoint) -> None:
         fsync_folder(folder)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
-    for _, path in _newest_first(folder)[KEPT:]:
+    found = _newest_first(folder)
+    later = sum(step > checkpoint.step for step, _ in found)
+    for _, path in found[:later] + found[later + KEPT :]:
         shutil.rmtree(path)
 
 

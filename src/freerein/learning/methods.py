@@ -27,7 +27,7 @@ from freerein.learning.in_distribution import InDistribution
 from freerein.learning.learner import Learner
 from freerein.learning.model_files import choose_device, read_card, save_model
 from freerein.learning.train_state import N
-from freerein.learning.training_loop import FitResult, fit_and_save
+from freerein.learning.training_loop import FitEvent, FitResult, fit_and_save
 
 C = TypeVar("C", bound=DatasetFitConfig)
 L = TypeVar("L", bound=Learner[Any])
@@ -129,7 +129,7 @@ class Methods(Generic[M_co]):
                 card = self._common_card(name, source, learner, fitted) | {"notes": notes} | own | warnings
                 save_model(fitted.network, model, card=card)
 
-            return fit_and_save(learner, folder, save)
+            return fit_and_save(learner, folder, save, on_event=_tell)
 
         return run_child(folder, train)
 
@@ -185,6 +185,20 @@ class Methods(Generic[M_co]):
             if value != each.default:
                 given[each.name] = value if isinstance(value, str) else json.dumps(value)
         return "".join(f" --set {shlex.quote(f'{key}={text}')}" for key, text in given.items())
+
+
+_TOLD = {
+    "resumed": "The fit goes on after step {step}.",
+    "checkpoint_corrupt": "The checkpoint of step {step} is passed over. {detail}",
+    "checkpoint_failed": "The checkpoint of step {step} could not be written: {detail}.",
+}
+"""What the log of a fit's job holds, by the kind of event."""
+
+
+def _tell(event: FitEvent) -> None:
+    """Writes an event of a fit to the log of its job, where that has a word for it."""
+    if told := _TOLD.get(event.kind):
+        sys.stderr.write(told.format(step=event.step, detail=event.detail) + "\n")
 
 
 def _uncalibrated(network: nn.Module) -> Iterator[str]:

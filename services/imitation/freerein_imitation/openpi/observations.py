@@ -162,7 +162,7 @@ def _seen(value: object, camera: Camera) -> Camera:
 def _images(value: object, camera: Camera, key: str, *, is_sequence: bool) -> tuple[Image, ...]:
     shape = (camera.height, camera.width, camera.channels)
     is_frame = isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.shape[-3:] == shape
-    if not isinstance(value, np.ndarray) or not is_frame or value.ndim > (4 if is_sequence else 3):
+    if not isinstance(value, np.ndarray) or not is_frame or 0 in shape or value.ndim > (4 if is_sequence else 3):
         got = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else "no array"
         is_sized = isinstance(value, np.ndarray) and value.dtype == np.uint8 and value.shape[2:] == shape[2:]
         hint = _OTHER_SIZE if is_sized else "Send height, width and channels in this order, or name another model."

@@ -110,8 +110,12 @@ class OpenpiConnection:
         arrived_ns = time.perf_counter_ns()
         resizes = self._query.resize is not None
         message = parse_observation(self._policy.spec, await read(data), resizes=resizes)
+        if message.reset:
+            self._proposed = self._last_action = None
         session = await self._session_of(message)
         executed = self._proposed if message.executed_actions is None else message.executed_actions
+        if self._proposed is not None:
+            self._proposed = self._proposed[-1:]  # they count once, though there may be no answer
         parsed = await session.parse(message.observation, executed, elapsed=elapsed_steps(executed))
         done = await self._batcher.submit(parsed, key=self._model)
         reply = session.answer(done, arrived_ns=arrived_ns)
@@ -155,11 +159,8 @@ class OpenpiConnection:
                 field="goal",
                 hint="Send `prompt`, `recipe` or `goal/<camera>`, or put `goal.text` or `goal.recipe` into the URL.",
             )
-        if message.reset:
-            self._last_action = None
         if self._session is None or message.reset:
             self._session = PolicySession(self._context)
-            self._proposed = None
         return self._session
 
     def _hold(self) -> npt.NDArray[Any]:
