@@ -81,6 +81,7 @@ def newest(folder: Path, *, on_corrupt: Callable[[int, str], None]) -> Checkpoin
 def _write(path: Path, checkpoint: Checkpoint) -> None:
     path.mkdir()
     document = json.dumps(dict(checkpoint.document), allow_nan=False).encode()
+    _check_size(len(document))  # what is too large to be read must not be kept in place of what is not
     tensors = tensor_files.dump(checkpoint.tensors)
     write_atomic(path / _DOCUMENT, document)
     write_atomic(path / _TENSORS, tensors)
@@ -99,9 +100,13 @@ def _read(path: Path, step: int) -> Checkpoint:
 
 
 def _read_json(path: Path) -> bytes:
-    if path.stat().st_size > _MAX_JSON_BYTES:
-        raise InvalidInput(f"A checkpoint's JSON must have at most {_MAX_JSON_BYTES} bytes; got {path.stat().st_size}.")
+    _check_size(path.stat().st_size)
     return path.read_bytes()
+
+
+def _check_size(size: int) -> None:
+    if size > _MAX_JSON_BYTES:
+        raise InvalidInput(f"A checkpoint's JSON must have at most {_MAX_JSON_BYTES} bytes; got {size}.")
 
 
 def _object(data: bytes) -> dict[str, JSON]:

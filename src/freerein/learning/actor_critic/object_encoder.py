@@ -155,6 +155,8 @@ class ObjectEncoder(nn.Module):
         moves = body.diff(dim=1)[:, :, None].expand(-1, -1, 2, -1)[has_moved]  # (M, A)
         coefficients, errors = _robust_regression(moves, change[has_moved])
         together = errors < _MOVED
+        if together.sum() < _LEAST_MOVES:
+            return
         after = body[:, 1:, None].expand(-1, -1, 2, -1)[has_moved][together]
         self.hand_eye.copy_(coefficients)
         self.grasp.copy_((keypoints[:, 1:][has_moved][together] - after @ coefficients).median(dim=0).values)
