@@ -9,7 +9,6 @@ import numpy as np
 from experiments.robustness import visited_states
 from experiments.robustness.target import Target
 from experiments.robustness.targets import BASELINE, LEAST_RUNS, OURS, TARGETS
-from experiments.robustness.worlds import DEMONSTRATED, SCATTERED
 from experiments.workbench import claims
 from experiments.workbench.claims import Claim
 from experiments.workbench.results import ArmResult, Sample
@@ -19,11 +18,12 @@ _DIGITS = 4
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """A claim of a target, and the name of the figure that is the worst."""
+    """A claim of a target, the name of the figure that is the worst, and the arms whose trials are joined."""
 
     target: Target
     claim: Claim
     worst: str
+    arms: Sequence[ArmResult]
 
 
 def make_claims(results: Sequence[ArmResult], wanted: Sequence[Target] = TARGETS) -> list[Made]:
@@ -38,9 +38,7 @@ def samples_of(results: Sequence[ArmResult], name: str) -> list[Sample]:
     by_seed: dict[int, list[ArmResult]] = {}
     for result in results:
         by_seed.setdefault(result.seed, []).append(result)
-    if name in (visited_states.PRECISION_AT_SHARE, visited_states.FALSE_POSITIVE_RATE):
-        return [visited_states.derived(_joined(each))[name] for each in by_seed.values()]
-    return [_join([result.samples[name] for result in each]) for each in by_seed.values()]
+    return [visited_states.join([result.samples[name] for result in each]) for each in by_seed.values()]
 
 
 def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
@@ -69,17 +67,19 @@ def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
         met=_is_met(target, arms, _rounded(values[worst]), target.unit * low) if target.has_bar else None,
         command=_command(arms),
     )
-    return Made(target, claim, worst)
+    return Made(target, claim, worst, arms)
 
 
 def _has(result: ArmResult, names: Sequence[str]) -> bool:
     """Returns whether a result has these samples; those of an earlier evaluation may lack some."""
-    derived = (visited_states.PRECISION_AT_SHARE, visited_states.FALSE_POSITIVE_RATE)
-    return all(name in result.samples or name in derived for name in names)
+    return all(name in result.samples for name in names)
 
 
 def _is_met(target: Target, arms: Sequence[ArmResult], value: float, low: float) -> bool:
-    return target.is_reached(value, low) and all(_is_apart(arms, *pair) for pair in target.apart)
+    """Returns whether a claim is met: by all the seeds that it needs, in each of its worlds."""
+    present = Counter(each.world for each in arms)
+    is_complete = all(present[world] >= target.seeds for world in target.worlds)
+    return is_complete and target.is_reached(value, low) and all(_is_apart(arms, *pair) for pair in target.apart)
 
 
 def _is_apart(arms: Sequence[ArmResult], upper: str, lower: str) -> bool:
@@ -109,7 +109,7 @@ def _make_of_runs(target: Target, results: Sequence[ArmResult]) -> Made:
         command=_command(runs),
         minutes=round(sum(each.minutes for each in runs), 2),
     )
-    return Made(target, claim, processor)
+    return Made(target, claim, processor, runs)
 
 
 def processor_of(result: ArmResult) -> str:
@@ -127,24 +127,12 @@ def _arms(target: Target, results: Sequence[ArmResult], method: str, variant: st
     return [
         each
         for each in results
-        if (each.method == method if method else each.options.get("fit") == variant)
-        and (each.world in target.worlds or (not target.worlds and each.world not in (DEMONSTRATED, SCATTERED)))
+        if (each.method == method if method else each.options.get("fit") == variant) and each.world in target.worlds
     ]
 
 
 def _mean(target: Target, arms: Sequence[ArmResult], name: str) -> float | None:
     return _rounded(target.unit * claims.mean(samples_of(arms, name))) if arms else None
-
-
-def _joined(results: Sequence[ArmResult]) -> dict[str, Sample]:
-    """Returns all samples of results of one seed; trials in several worlds are joined."""
-    return {name: _join([each.samples[name] for each in results]) for name in results[0].samples}
-
-
-def _join(parts: Sequence[Sample]) -> Sample:
-    return Sample(
-        [total for part in parts for total in part.totals], [count for part in parts for count in part.counts]
-    )
 
 
 def _command(arms: Sequence[ArmResult]) -> str:

@@ -12,11 +12,12 @@ class Target:
     Attributes:
         claim: Its name.
         text: What it measures.
-        worlds: Worlds of the arms that measure it, whose trials are joined; empty for all tasks of shipped policies.
+        worlds: Worlds of the arms that measure it, whose trials are joined.
         samples: Figures, the worst of which it is.
         least: What it must reach at least; None where it must not exceed `most`.
         most: What it must not exceed; with neither it is only reported.
         unit: 100 for per cent, 1 for a share.
+        seeds: Arms that it needs in each of its worlds to be met.
         low_above: What the lower end of the interval must exceed, if anything.
         apart: Pairs of samples; the interval of the first must lie above that of the second.
         also: Claims that must be met for this one to be.
@@ -34,6 +35,7 @@ class Target:
     least: float | None = None
     most: float | None = None
     unit: int = _SHARE
+    seeds: int = 3
     low_above: float | None = None
     apart: tuple[tuple[str, str], ...] = ()
     also: tuple[str, ...] = ()

@@ -1,7 +1,8 @@
 """The reward on states that PPO's policies visit, and what these policies achieve under each condition."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,10 @@ from freerein.learning.actor_critic.policy_files import NAMES
 from freerein_reward.model import DualEncoderModel
 from freerein_sim.worlds.tasks import tasks
 
+METHOD, ALL = "visited", "all"
+"""The reward on states of all teachers of chapter 4: figures of all together, and by relation."""
+
+RELATIONS = ("left-of", "right-of", "on-top-of")
 PRECISION, RECALL, RETURN, SHARE_TRUE = "precision", "recall", "return", "true"
 FALSE_POSITIVE_RATE, PRECISION_AT_SHARE = "false-positive-rate", "precision-at-0.4"
 """What follows from the others; see `derived`."""
@@ -59,6 +64,28 @@ def evaluate(model: DualEncoderModel, policy: StoredPolicy, work: Path) -> Outco
             SHARE_TRUE: _share(holds, np.ones(len(holds), np.bool_), drawn),
         },
     )
+
+
+def evaluate_all(model: DualEncoderModel, policies: Sequence[StoredPolicy], work: Path) -> Outcome:
+    """Returns the figures of `evaluate`, and what follows from them, over all policies and over those of a relation."""
+    found = {each.task: evaluate(model, each, work).samples for each in policies}
+    samples: dict[str, Sample] = {}
+    for group in (ALL, *RELATIONS):
+        parts = [each for task, each in found.items() if group == ALL or group in task]
+        joined = {name: join([each[name] for each in parts]) for name in (PRECISION, RECALL, SHARE_TRUE)}
+        samples |= {of_group(group, name): sample for name, sample in (joined | derived(joined)).items()}
+    return Outcome({}, samples)
+
+
+def of_group(group: str, figure: str) -> str:
+    """Returns the name of a figure over a relation's policies, or over `ALL`."""
+    return f"{group}.{figure}"
+
+
+def join(parts: Sequence[Sample]) -> Sample:
+    """Returns the trials of several samples as one."""
+    totals, counts = ([*chain.from_iterable(each)] for each in zip(*((p.totals, p.counts) for p in parts), strict=True))
+    return Sample(totals, counts)
 
 
 def derived(samples: Mapping[str, Sample]) -> dict[str, Sample]:
