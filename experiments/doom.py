@@ -7,15 +7,18 @@ data and the same with textures V1; the others are those of the tests.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from experiments.chapter3.exploration import CHOICE, TEST, Exploration, Setting, recognizer_step
+from experiments.chapter3.exploration import CHOICE, RECOGNIZER, TEST, Choice, Exploration, Setting
 from experiments.chapter3.followed_report import Gain, Measured, Report
 from experiments.chapter3.followers import Followers
 from experiments.workbench.pipelines import step
 
 _CONSISTENT = {"forward_consistency_weight": 0.1}
 _OF_VARIANTS = {"steps": 4_000}
+_OF_ONE_STEP = {"batch_size": 58}
+"""Slices of one action are of windows of 10 frames, others of 24: as many frames in each update."""
+
 _ROWS: Mapping[str, Mapping[str, Any]] = {
-    "inverse_model": {"method": "inverse_model"},
+    "inverse_model": {"method": "inverse_model", **_OF_ONE_STEP},
     "gsp_no_previous_action": {"use_previous_action": False},
     "gsp_no_consistency": {},
     "gsp_regularised": {**_CONSISTENT, "forward_use": "regulariser"},
@@ -27,6 +30,7 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
         "max_goal_steps": 1,
         "recurrent": False,
         "use_previous_action": False,
+        **_OF_ONE_STEP,
         **_OF_VARIANTS,
     },
     "gsp_stop": {**_CONSISTENT, "stop": True, **_OF_VARIANTS},
@@ -39,7 +43,15 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
 }
 _SIDE_ROWS = [row for row in _ROWS if row not in ("gsp_features", "gsp_no_consistency")]
 _FIT = {"encoder": "convolutional", "steps": 10_000}
-_TASK, _TRAJECTORIES = "doom", 714
+_LR = {RECOGNIZER: 2e-3, "inverse_model": 2e-3, "gsp_no_consistency": 2e-3}
+"""To be set from the arms `pilot`, the rate of the lowest held-out loss of each, before anything else is trained."""
+
+_TASK, _TRAJECTORIES = "doom", 800
+"""Of up to 525 decisions: the vest ends one of eight that begin in random rooms, even of random exploration."""
+
+_EVERY, _STEPS_PER_LANDMARK = 10, 50
+"""Actions from one image to the next, and those after which an image is abandoned: five times as many, as a trial."""
+
 _FIXED_ROOM = {"conditions": ["start-room-10"]}
 _DATA: Mapping[str, Sequence[Mapping[str, Any]]] = {
     "curiosity": (
@@ -63,23 +75,26 @@ _CURIOSITY = {
 
 
 def _setting(task: str) -> Setting:
-    evaluation = {"task": task, "demonstration_conditions": ["heading-along-path"], "episodes": 250}
-    return Setting((evaluation,), demonstrations=5)
+    followed = {"task": task, "every": _EVERY, "steps_per_landmark": _STEPS_PER_LANDMARK, "episodes": 250}
+    evaluation = {**followed, "demonstration_conditions": ["heading-along-path"]}
+    return Setting((evaluation,), demonstrations=5, choice=Choice("v1", "completion", "median"))
 
 
 EXPLORATION = Exploration(
     world=_TASK,
-    version=3,
-    shared=(
+    version=4,
+    collects=(
         step("curious", "ppo", task=_TASK, **_CURIOSITY),
         *(
             step(name, "collect", dataset=name, parts=list(parts), task=_TASK, behaviour="mix", count=_TRAJECTORIES)
             for name, parts in _DATA.items()
         ),
-        recognizer_step("curiosity", **_FIT),
     ),
+    timesteps=375_000,
+    recognizer=_FIT,
     fit=_FIT,
     rows=_ROWS,
+    lr=_LR,
     seeds={
         "curiosity": {"gsp_features": 4, "gsp_no_consistency": 4, **dict.fromkeys(_SIDE_ROWS, 1)},
         "random": {"gsp_features": 3, "inverse_model": 1},
@@ -89,9 +104,12 @@ EXPLORATION = Exploration(
         CHOICE: {"a": _setting("doom"), "v1": _setting("doom.v1")},
         TEST: {"v2": _setting("doom.v2"), "b": _setting("doom.b")},
     },
-    chooses=("v1", "completion"),
     places=2,
-    figures=("completion", "efficiency"),
+    figures=(
+        *("completion", "completion.32", "completion.64"),
+        *("efficiency", "efficiency.32", "efficiency.64"),
+        *("success", "recognized", "ended"),
+    ),
 )
 
 _A = Measured("a", "completion", statistic="median", least=63.0, ceiling=95.0, dissertation=78.2)
@@ -106,7 +124,7 @@ EXPERIMENT = Followers(
         measured=(_A, _V1, _V2, _B),
         gains=(
             Gain("doom_curiosity", "gsp_features", "random", _A),
-            Gain("doom_consistency", "gsp_no_consistency", "curiosity", _B),
+            Gain("doom_consistency", "gsp_no_consistency", "curiosity", _B, seeds=4, is_open=True),
         ),
         flags="a",
         unit="median completion, per cent",

@@ -1,34 +1,39 @@
 """Policies of a robot's own exploration that follow demonstrations: an experiment for each world of chapter 3.
 
-All arms of a world share their data and one goal recognizer, which a first pipeline makes once for all. A policy is
-fitted once for two arms, one for each kind of settings.
+All arms of a world share their data and one goal recognizer, which two pipelines make once for all: learning rates are
+tried between them. A policy is fitted once for two arms, one for each kind of settings.
 """
 
 import json
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from experiments.chapter3 import followed_report, reach, sift
+from experiments.chapter3 import fits, followed_report, knots, reach, sift
 from experiments.chapter3.exploration import (
+    CHOICE,
     DATA_OPTION,
-    EXPERT,
     EXPLORING,
+    PILOT,
     POLICY,
-    RANDOM_SEARCH,
+    SETTINGS_OPTION,
     SIFT,
+    TEST,
     Exploration,
     is_fitted,
 )
-from experiments.chapter3.followed import ACTING, GREEDY, samples
+from experiments.chapter3.followed import ACTING, GREEDY, chosen_acting, samples
 from experiments.chapter3.followed_report import Report
-from experiments.workbench.arms import Arm, Experiment, world_version
+from experiments.workbench.arms import Arm, Experiment, is_current, world_version
 from experiments.workbench.configs import Config
-from experiments.workbench.pipelines import Trials, run_once, run_pipeline
-from experiments.workbench.results import ArmResult, Outcome
+from experiments.workbench.pipelines import Step, Trials, run_once, run_pipeline
+from experiments.workbench.results import ArmResult, Outcome, load
 from experiments.workbench.table import Table
+from freerein.atomic_files import write_atomic
+from freerein.data import Dataset, dataset_path
 from freerein.learning.model_files import MODEL, read_card
 from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
@@ -40,76 +45,152 @@ class Followers(Experiment):
     Args:
         exploration: The world.
         report: What its table claims.
+        others: Other worlds, whose flags its table compares with its own.
     """
 
-    def __init__(self, exploration: Exploration, report: Report) -> None:
+    def __init__(self, exploration: Exploration, report: Report, others: "Sequence[Followers]" = ()) -> None:
         self.exploration = exploration
-        self._report = report
+        self.report = report
+        self._others = others
 
     @property
     def arms(self) -> tuple[Arm, ...]:
         """Those of the exploration."""
         return self.exploration.arms
 
+    @property
+    def sources(self) -> Sequence[str]:
+        """The other worlds."""
+        return [each.exploration.world for each in self._others]
+
     def config(self, arm: Arm) -> Config:
-        """Returns the steps of the pipeline that arms share, of the fit, and of the arm's own."""
-        own = self.exploration
-        fit = [own.fit_step(arm)] if is_fitted(arm.method) else []
-        return {"version": own.version, "shared": list(own.shared), "fit": fit, "steps": list(own.steps(arm))}
+        """Returns the steps that make data and recognizer, that fit and that evaluate, where an arm has them.
+
+        What is evaluated of a test may be less: see `run`.
+        """
+        own, fit = self.exploration, list[Step]()
+        shared = [*own.collects] if arm.method in (EXPLORING, PILOT) or is_fitted(arm.method) else []
+        if arm.method == PILOT:
+            fit = own.pilot_steps(arm)
+        elif is_fitted(arm.method):
+            shared, fit = [*shared, own.recognizer_step()], [own.fit_step(arm)]
+        figures = list(own.figures) if SETTINGS_OPTION in arm.options else []
+        steps = list(own.steps(arm))
+        return {"version": own.version, "shared": shared, "fit": fit, "steps": steps, "figures": figures}
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Makes data and recognizer, or waits until another arm has made them."""
-        return arm.method in (EXPERT, RANDOM_SEARCH, SIFT) or self._shared(work) is not None
+        if arm.method in (EXPLORING, PILOT):
+            return self._collected(work) is not None
+        return not is_fitted(arm.method) or self._recognizer(work) is not None
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
     ) -> Outcome | None:
-        """Has a policy follow demonstrations by its likeliest actions, and by drawn ones; see `Experiment`."""
+        """Has a policy follow demonstrations by its likeliest actions, and by drawn ones; see `Experiment`.
+
+        In the tests a row that is not claimed acts in the way alone that its fit chose, if the result of that is there.
+        """
         if arm.method == EXPLORING:
             return self._explored(arm, work, folder)
+        if arm.method == PILOT:
+            return self._tried(arm, work, folder, on_progress)
         found: dict[str, Trials] = {}
         source = self._fitted(arm, work, on_progress) if is_fitted(arm.method) else None
         if is_fitted(arm.method) and source is None:
             return None
+        made = self._figures(arm, work, source) if source else {}
         modules = {"imitation": sift.MODULE} if arm.method == SIFT else {}
         if arm.method == SIFT:
             source = folder / "made"
             sift.publish(arm.world, source / "data", model_name=POLICY)
-        for acting in ACTING if is_fitted(arm.method) else ACTING[:1]:
+        for acting, names in self._acting(arm, results, folder).items():
             if source and acting != GREEDY:
                 publish_sampled(source / "data", folder / "drawn" / "data")
                 source = folder / "drawn"
-            steps = [*self.exploration.steps(arm)]
+            steps = [*self.exploration.steps(arm, names)]
             trials = run_pipeline(steps, folder / acting, on_progress, source=source, modules=modules)
             if trials is None:
                 return None
             found[acting] = trials
-        return Outcome({}, dict(samples(found, self.exploration.settings_of(arm), self.exploration.figures)))
+        return Outcome(made, dict(samples(found, self.exploration.settings_of(arm), self.exploration.figures)))
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns a row for each fit that has results, and the claims."""
-        return followed_report.table(self.exploration, results, report=self._report)
+        others = [(each.exploration, each.report) for each in self._others]
+        return followed_report.table(self.exploration, results, report=self.report, others=others)
+
+    def _acting(self, arm: Arm, results: Path, folder: Path) -> dict[str, list[str]]:
+        """Returns names of settings by the way of acting, greedy first; a resumed arm has those that it began with."""
+        path = folder / "acting.json"
+        if not path.exists():
+            write_atomic(path, json.dumps(self._choose_acting(arm, results)).encode())
+        found: dict[str, list[str]] = json.loads(path.read_bytes())
+        return found
+
+    def _choose_acting(self, arm: Arm, results: Path) -> dict[str, list[str]]:
+        settings = self.exploration.settings_of(arm)
+        if not is_fitted(arm.method):
+            return {GREEDY: [*settings]}
+        is_claimed = (arm.method, arm.options[DATA_OPTION]) == self.exploration.claimed
+        chose = replace(arm, options={**arm.options, SETTINGS_OPTION: CHOICE})
+        path = results / f"{chose.name}.json"
+        if arm.options[SETTINGS_OPTION] != TEST or is_claimed or not path.exists():
+            return {acting: [*settings] for acting in ACTING}
+        result = load(path)
+        if not is_current(self, chose, result):
+            return {acting: [*settings] for acting in ACTING}
+        chosen = {name: chosen_acting(result.samples, setting.choice) for name, setting in settings.items()}
+        named = {acting: [name for name in settings if chosen[name] in (acting, "")] for acting in ACTING}
+        return {acting: names for acting, names in named.items() if names}
 
     def _explored(self, arm: Arm, work: Path, folder: Path) -> Outcome | None:
-        """Measures how far the data of an arm reach."""
-        made, own = self._shared(work), self.exploration
+        """Measures how much the data of an arm hold, and how far they reach."""
+        made, own = self._collected(work), self.exploration
         if made is None:
             return None
         collected = own.collected(arm.options[DATA_OPTION])
-        return Outcome(reach.measure(collected, places=own.places, made=made, folder=folder), {})
+        figures = reach.amounts(collected, made=made)
+        if own.places:
+            figures |= reach.measure(collected, places=own.places, made=made, folder=folder)
+        if own.counts_knots:
+            figures |= knots.count(collected, Dataset(dataset_path(made / "data", collected["dataset"])))
+        return Outcome(figures, {})
+
+    def _tried(self, arm: Arm, work: Path, folder: Path, on_progress: Callable[[], None]) -> Outcome | None:
+        """Fits for a while at the learning rate of an arm."""
+        made, steps = self._collected(work), self.exploration.pilot_steps(arm)
+        if made is None or run_pipeline(steps, folder, on_progress, source=made, keeps_datasets=True) is None:
+            return None
+        figures = dict(fits.figures(folder, steps[-1]))
+        shutil.rmtree(folder / "data" / "datasets")
+        return Outcome(figures, {})
+
+    def _figures(self, arm: Arm, work: Path, fitted: Path) -> dict[str, float]:
+        """Returns what the fits of an arm came to: its own, and the recognizer's."""
+        recognizer = self._recognizer(work)
+        shared = fits.figures(recognizer, self.exploration.recognizer_step()) if recognizer else ()
+        return dict([*fits.figures(fitted, self.exploration.fit_step(arm)), *shared])
 
     def _fitted(self, arm: Arm, work: Path, on_progress: Callable[[], None]) -> Path | None:
         """Fits the policy of an arm, once for all arms that act by it, to data that are made once for all."""
-        shared = self._shared(work)
+        own, shared = self.exploration, self._recognizer(work)
         if shared is None:
             return None
-        own = self.exploration
-        made_by = {**self._made_by(), "shared": list(own.shared)}
+        made_by = {**self._made_by(), "shared": [*own.collects, own.recognizer_step()]}
         return run_once([own.fit_step(arm)], made_by, work / own.world, on_progress, source=shared)
 
-    def _shared(self, work: Path) -> Path | None:
+    def _recognizer(self, work: Path) -> Path | None:
+        """Fits the recognizer that all rows share, beside the data."""
+        own, collected = self.exploration, self._collected(work)
+        if collected is None:
+            return None
+        made_by = {**self._made_by(), "shared": [*own.collects]}
+        return run_once([own.recognizer_step()], made_by, work / own.world, lambda: None, source=collected)
+
+    def _collected(self, work: Path) -> Path | None:
         own = self.exploration
-        return run_once(own.shared, self._made_by(), work / own.world, lambda: None)
+        return run_once(own.collects, self._made_by(), work / own.world, lambda: None)
 
     def _made_by(self) -> dict[str, Any]:
         return {"version": self.exploration.version, "world_version": world_version(self.exploration.world)}

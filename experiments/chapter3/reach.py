@@ -1,6 +1,7 @@
 """How much a robot explored, and how far it gets so: distances between its places a few actions apart."""
 
 import asyncio
+import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,15 +26,30 @@ ACTIONS = (5, 10, 15, 20)
 """Between two places."""
 
 QUANTILES = {"median": 50, "p90": 90}
-EXPLORED = "explored"
-"""Name of the number of timesteps in the data."""
+EXPLORED, LEARNED = "explored", "learned"
+"""Names of the numbers of actions in the data with an image before and after, and of those, not among them, that the
+policies which made the data had learned from."""
 
 _EPISODES, _SEED = 64, 2_000_003
 _READY_TIMEOUT_S = 300.0
 
 
+def amounts(collected: Mapping[str, Any], *, made: Path) -> dict[str, float]:
+    """Returns how many actions a dataset holds, and how many the policies that made it had learned from.
+
+    Args:
+        collected: Configuration of the run that collects the data.
+        made: Folder of the pipeline that has made them.
+    """
+    name = collected["dataset"]
+    explored = Dataset(dataset_path(made / "data", name)).lengths - 1
+    card = json.loads((run_folder(made) / "parts" / name / "artifacts" / "dataset.json").read_bytes())
+    learned = {each["sha256"]: each["learned_timesteps"] for each in card.get("parts", ())}
+    return {EXPLORED: float(explored.sum()), LEARNED: float(sum(learned.values()))}
+
+
 def measure(collected: Mapping[str, Any], *, places: int, made: Path, folder: Path) -> dict[str, float]:
-    """Returns the timesteps of a dataset, and quantiles of the distances over all parts in their shares, by name.
+    """Returns quantiles of the distances over all parts in their shares, by name.
 
     Args:
         collected: Configuration of the run that collects the data.
@@ -51,9 +67,7 @@ def measure(collected: Mapping[str, Any], *, places: int, made: Path, folder: Pa
             return [await asyncio.to_thread(_explored, sim, collected["task"], part, made) for part in parts]
 
     shares = [part.get("share", 1.0) for part in parts]
-    places_of_parts = [[each.states[:, :places] for each in part] for part in asyncio.run(explore())]
-    explored = Dataset(dataset_path(made / "data", collected["dataset"])).lengths.sum()
-    return {EXPLORED: float(explored), **distances(places_of_parts, shares)}
+    return distances([[each.states[:, :places] for each in part] for part in asyncio.run(explore())], shares)
 
 
 def distances(parts: Sequence[Sequence[npt.NDArray[np.float64]]], shares: Sequence[float]) -> dict[str, float]:

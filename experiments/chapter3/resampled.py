@@ -8,9 +8,11 @@ import numpy.typing as npt
 from experiments.workbench.results import Sample
 
 Episodes = npt.NDArray[np.float64]
-"""Of every seed, demonstration and start, float64 (seeds, demonstrations, starts); of two rows (2, ...)."""
+"""Of every seed, demonstration and start, float64 (..., seeds, demonstrations, starts)."""
 
-Statistic = Callable[[Episodes], float]
+Values = npt.NDArray[np.float64]
+Statistic = Callable[[Episodes], Values]
+"""Returns a value of each (...,)."""
 
 _RESAMPLES, _SEED = 2000, 0
 
@@ -21,30 +23,37 @@ def by_demonstration(samples: Sequence[Sample], *, demonstrations: int) -> Episo
     return figures.reshape(len(samples), -1, demonstrations).swapaxes(1, 2)
 
 
-def median(episodes: Episodes) -> float:
+def median(episodes: Episodes) -> Values:
     """Returns the mean over seeds of the median over episodes."""
-    return float(np.median(episodes, axis=(1, 2)).mean())
+    return np.asarray(np.median(episodes, axis=(-2, -1)).mean(axis=-1))
 
 
-def mean(episodes: Episodes) -> float:
+def mean(episodes: Episodes) -> Values:
     """Returns the mean over seeds and episodes."""
-    return float(episodes.mean())
+    return np.asarray(episodes.mean(axis=(-3, -2, -1)))
 
 
 def interval(episodes: Episodes, statistic: Statistic) -> tuple[float, float]:
     """Returns the 95 % interval of a statistic: percentile bootstrap over seeds, demonstrations and starts.
 
-    All seeds, and rows, have the same resampled demonstrations, and starts of each. With one seed it says nothing about
-    others.
+    All seeds have the same resampled demonstrations, and starts of each. With one seed, or one demonstration, it says
+    nothing about others.
     """
-    rng, (seeds, demonstrations, starts) = np.random.default_rng(_SEED), episodes.shape[-3:]
-    values = []
-    for _ in range(_RESAMPLES):
-        seed = rng.integers(seeds, size=(seeds, 1, 1))
-        shown, start = (
-            rng.integers(demonstrations, size=(demonstrations, 1)),
-            rng.integers(starts, size=(demonstrations, starts)),
-        )
-        values.append(statistic(episodes[..., seed, shown, start]))
-    low, high = np.percentile(values, [2.5, 97.5])
+    low, high = np.percentile(statistic(_resample(episodes)), [2.5, 97.5])
     return float(low), float(high)
+
+
+def gain_interval(rows: Episodes, statistic: Statistic) -> tuple[float, float]:
+    """Returns the 95 % interval of how much the first of two rows, (2, ...), is above the other, resampled together."""
+    own, other = statistic(_resample(rows))
+    low, high = np.percentile(own - other, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _resample(episodes: Episodes) -> Episodes:
+    """Returns resampled episodes, (..., resamples, seeds, demonstrations, starts)."""
+    rng, (seeds, demonstrations, starts) = np.random.default_rng(_SEED), episodes.shape[-3:]
+    seed = rng.integers(seeds, size=(_RESAMPLES, seeds, 1, 1))
+    shown = rng.integers(demonstrations, size=(_RESAMPLES, 1, demonstrations, 1))
+    start = rng.integers(starts, size=(_RESAMPLES, 1, demonstrations, starts))
+    return episodes[..., seed, shown, start]

@@ -9,9 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from experiments.chapter4.students import DISSERTATION, IN_SCENES, LIGHTS, ORDERS, OURS, POINTS, RANDOM, RETURN, SCENES
+from experiments.chapter4.students import (
+    DISSERTATION,
+    DONE,
+    IN_SCENES,
+    LIGHTS,
+    ORDERS,
+    OURS,
+    POINTS,
+    RANDOM,
+    RETURN,
+    SCENES,
+)
 from experiments.chapter4.tasks import PARTS, TASK_SETS, TEST
-from experiments.teachers import SEEN, STARTS
+from experiments.robustness.evaluated import FLAG_AUROC, FLAG_ECE
+from experiments.teachers import SEEN, STARTS, UNSEEN
 from experiments.workbench import claims
 from experiments.workbench.claims import Claim
 from experiments.workbench.plots import interval_plot
@@ -40,10 +52,14 @@ _DISSERTATION = {
 _LEAST_IN_LIGHT = 70.0
 """Of the return in the nominal light, in the worst of `LIGHTS`, per cent."""
 
-_ORDERED = f"{TEST}.{SEEN}"
-"""Where conditionings are compared."""
+_LEAST_AUROC, _MOST_ECE = 0.95, 0.05
+"""Of what a student says of reaching its goal, in the worse set of tasks."""
+
+_ORDERED = {"": f"{TEST}.{SEEN}", "_unseen": f"{TEST}.{UNSEEN}"}
+"""Where conditionings are compared, by what the names of the comparisons end with."""
 
 _BY_SCENE = "Ours told a text, in other scenes, of the nominal return, %"
+_DONE = "Ours that says when its goal is reached, on states that it visits, by the oracle"
 _BY_TASK = "Ours told a text, by task: mean of all seeds, % of the expert"
 
 Students = dict[tuple[str, str], list[ArmResult]]
@@ -70,6 +86,7 @@ def table(results: Sequence[ArmResult]) -> Table:
                 "Every student",
             ),
             *_scenes(students),
+            *_done(students),
             Section(("task", *(f"{starts} starts, %" for starts in STARTS)), tuple(_rows_by_task(students)), _BY_TASK),
         ),
         claims=made,
@@ -85,26 +102,30 @@ def _students(results: Sequence[ArmResult]) -> Students:
 
 
 def _in_nominal_scenes(students: Students) -> Iterator[tuple[tuple[str, str], list[ArmResult]]]:
-    return ((row, arms) for row, arms in students.items() if row[0] != IN_SCENES)
+    return ((row, arms) for row, arms in students.items() if row[0] not in (IN_SCENES, DONE))
 
 
 def _claims(students: Students) -> Iterator[Claim]:
     """Yields returns of every student, and by how much a text is more than a code, and than nothing, on test tasks."""
-    for (method, how), arms in students.items():
-        if method in (RANDOM, IN_SCENES):
-            continue
-        for part in PARTS:
+    for (method, how), arms in _in_nominal_scenes(students):
+        for part in _parts(arms) if method != RANDOM else ():
             yield _return_claim(students, method, how, part, arms)
             yield _points_claim(method, how, part, arms)
-    text = students.get((OURS, "text"), [])
-    compared = [_difference(text, students.get((OURS, how), []), how) for how in ("code", "none")]
-    if text and (shown := students.get((IN_SCENES, "text"), [])):
-        yield _light_claim(text, shown)
-    found = [each for each in compared if each is not None]
-    yield from found
-    if len(found) == len(compared):
-        least = min(found, key=lambda claim: claim.value)
-        yield replace(least, claim="conditioning_order", met=all(each.met for each in found))
+    if lights := _in_lights(students):
+        yield _light_claim(students, lights)
+    yield from _done_claims(students.get((DONE, "text"), []))
+    for suffix, part in _ORDERED.items():
+        compared = [_difference(students, how, part, suffix) for how in ("code", "none")]
+        found = [each for each in compared if each is not None]
+        yield from found
+        if len(found) == len(compared):
+            least = min(found, key=lambda claim: claim.value)
+            yield replace(least, claim=f"conditioning_order{suffix}", met=all(each.met for each in found))
+
+
+def _parts(arms: Sequence[ArmResult]) -> list[str]:
+    """Returns the parts in which students were evaluated."""
+    return [part for part in PARTS if f"{part}.{RETURN}" in arms[0].samples]
 
 
 def _name(method: str, how: str, part: str) -> str:
@@ -144,40 +165,61 @@ def _points_claim(method: str, how: str, part: str, arms: Sequence[ArmResult]) -
         seeds=len(arms),
         scale="full" if method == OURS else "reduced",
         ceiling=round(claims.mean(expert), 3),
-        dissertation=_DISSERTATION[how, part],
+        dissertation=_DISSERTATION[how, part] if method in (OURS, DISSERTATION) else None,
         command=_COMMAND,
     )
 
 
-def _light_claim(text: Sequence[ArmResult], in_scenes: Sequence[ArmResult]) -> Claim:
+def _in_lights(students: Students) -> dict[tuple[str, str], list[Sample]]:
+    """Returns returns in each scene by those in the nominal one, of the same students in the same episodes.
+
+    By set of tasks and scene; a trial is a start.
+    """
+    nominal = {arm.seed: arm for arm in students.get((OURS, "text"), [])}
+    paired = [(arm, nominal[arm.seed]) for arm in students.get((IN_SCENES, "text"), []) if arm.seed in nominal]
+    if not paired:
+        return {}
+    return {
+        (tasks, scene): [_of_nominal(*each, tasks, scene) for each in paired] for tasks in TASK_SETS for scene in SCENES
+    }
+
+
+def _of_nominal(in_scenes: ArmResult, nominal: ArmResult, tasks: str, scene: str) -> Sample:
+    shown, usual = (
+        np.reshape(arm.samples[f"{tasks}.{each}.{RETURN}"].totals, (len(TASK_SETS[tasks]), -1))
+        for arm, each in ((in_scenes, scene), (nominal, SEEN))
+    )
+    return Sample(shown.sum(axis=0).tolist(), usual[:, : shown.shape[1]].sum(axis=0).tolist())
+
+
+def _light_claim(students: Students, found: dict[tuple[str, str], list[Sample]]) -> Claim:
     """Returns the claim of the worst light, over the sets of tasks, in seen starts."""
-    values = {(tasks, light): _of_nominal(text, in_scenes, tasks, light) for tasks in TASK_SETS for light in LIGHTS}
-    tasks, light = min(values, key=lambda scene: values[scene])
-    shown, nominal = _samples(in_scenes, f"{tasks}.{light}", RETURN), _samples(text, f"{tasks}.{SEEN}", RETURN)
-    low, high = claims.ratio_interval(shown, nominal)
-    value = _PER_CENT * values[tasks, light]
-    made = claims.claim_of(
-        "policy_light",
-        in_scenes,
-        shown,
-        unit=_PER_CENT,
-        seeds=len(in_scenes),
-        target=_LEAST_IN_LIGHT,
-        met=len(in_scenes) == _SEEDS and value >= _LEAST_IN_LIGHT,
-        command=_COMMAND,
+    samples = min((each for (_, scene), each in found.items() if scene in LIGHTS), key=claims.mean)
+    met = len(samples) == _SEEDS and _PER_CENT * claims.mean(samples) >= _LEAST_IN_LIGHT
+    more: dict[str, Any] = {"unit": _PER_CENT, "seeds": len(samples), "target": _LEAST_IN_LIGHT, "command": _COMMAND}
+    return claims.claim_of("policy_light", students[IN_SCENES, "text"], samples, met=met, **more)
+
+
+def _done_claims(arms: Sequence[ArmResult]) -> Iterator[Claim]:
+    """Yields AUROC and calibration error of what students say of reaching their goals, in the worse set of tasks."""
+    if not arms:
+        return
+    auroc, ece = (
+        worst([each.samples[f"{tasks}.{name}"] for each in arms] for tasks in TASK_SETS)
+        for name, worst in ((FLAG_AUROC, partial(min, key=claims.mean)), (FLAG_ECE, partial(max, key=claims.mean)))
     )
-    return replace(made, value=round(value, 3), low=round(_PER_CENT * low, 3), high=round(_PER_CENT * high, 3))
+    is_calibrated = len(arms) == _SEEDS and claims.mean(ece) <= _MOST_ECE
+    more: dict[str, Any] = {"seeds": len(arms), "command": _COMMAND}
+    met = is_calibrated and claims.mean(auroc) >= _LEAST_AUROC
+    yield claims.claim_of("language_done", arms, auroc, target=_LEAST_AUROC, met=met, **more)
+    yield claims.claim_of("language_done_ece", arms, ece, target=_MOST_ECE, met=is_calibrated, **more)
 
 
-def _of_nominal(text: Sequence[ArmResult], in_scenes: Sequence[ArmResult], tasks: str, scene: str) -> float:
-    shown, nominal = _samples(in_scenes, f"{tasks}.{scene}", RETURN), _samples(text, f"{tasks}.{SEEN}", RETURN)
-    return claims.mean(shown) / claims.mean(nominal)
-
-
-def _difference(text: Sequence[ArmResult], others: Sequence[ArmResult], how: str) -> Claim | None:
+def _difference(students: Students, how: str, part: str, suffix: str) -> Claim | None:
     """Returns by how much more a text is worth, in the same episodes, as a share of the expert's return."""
+    text, others = (students.get((OURS, each), []) for each in ("text", how))
     seeds, told = (
-        {arm.seed: sample for arm, sample in zip(arms, _samples(arms, _ORDERED, RETURN), strict=True)}
+        {arm.seed: sample for arm, sample in zip(arms, _samples(arms, part, RETURN), strict=True)}
         for arms in (others, text)
     )
     paired = [(sample, seeds[seed]) for seed, sample in told.items() if seed in seeds]
@@ -190,7 +232,7 @@ def _difference(text: Sequence[ArmResult], others: Sequence[ArmResult], how: str
     low, _ = claims.interval(gains)
     more: dict[str, Any] = {"unit": _PER_CENT, "seeds": len(gains), "target": 0.0, "command": _COMMAND}
     met = len(gains) == _SEEDS and low > 0
-    return claims.claim_of(f"conditioning_text_over_{how}", [*text, *others], gains, met=met, **more)
+    return claims.claim_of(f"conditioning_text_over_{how}{suffix}", [*text, *others], gains, met=met, **more)
 
 
 def _samples(arms: Sequence[ArmResult], part: str, figure: str) -> list[Sample]:
@@ -210,30 +252,42 @@ def _header(unit: str) -> tuple[str, ...]:
 
 def _rows(students: Students, figure: str, unit: float) -> Iterator[tuple[str, ...]]:
     for (method, how), arms in _in_nominal_scenes(students):
-        yield method, how, str(len(arms)), *(_cell(_samples(arms, part, figure), unit) for part in PARTS)
+        yield method, how, str(len(arms)), *_part_cells(arms, figure, unit)
 
 
 def _rows_by_order(students: Students) -> Iterator[tuple[str, ...]]:
     for (method, how), arms in _in_nominal_scenes(students):
         for order in ORDERS:
-            shares = ([each.samples[f"{part}.{order}.{RETURN}"] for each in arms] for part in PARTS)
-            cells = (f"{_PER_CENT * claims.mean(each):.1f}" for each in shares)
+            shares = {part: [each.samples[f"{part}.{order}.{RETURN}"] for each in arms] for part in _parts(arms)}
+            cells = (f"{_PER_CENT * claims.mean(shares[part]):.1f}" if part in shares else "" for part in PARTS)
             yield f"{method}, {order.replace('-', ' ')}", how, str(len(arms)), *cells
 
 
 def _rows_of_students(students: Students) -> Iterator[tuple[str, ...]]:
     for (method, how), arms in _in_nominal_scenes(students):
         for arm in arms:
-            yield method, how, f"seed {arm.seed}", *(_cell(_samples([arm], part, RETURN), _PER_CENT) for part in PARTS)
+            yield method, how, f"seed {arm.seed}", *_part_cells([arm], RETURN, _PER_CENT)
 
 
 def _scenes(students: Students) -> Iterator[Section]:
-    text, in_scenes = (students.get((method, "text"), []) for method in (OURS, IN_SCENES))
-    if text and in_scenes:
-        shown = ([_of_nominal(text, in_scenes, tasks, scene) for scene in SCENES] for tasks in TASK_SETS)
-        rows = zip(TASK_SETS, shown, strict=True)
-        cells = tuple((tasks, *(f"{_PER_CENT * value:.1f}" for value in values)) for tasks, values in rows)
-        yield Section(("tasks", *SCENES), cells, _BY_SCENE)
+    if found := _in_lights(students):
+        rows = ((tasks, *(_cell(found[tasks, scene], _PER_CENT) for scene in SCENES)) for tasks in TASK_SETS)
+        yield Section(("tasks", *SCENES), tuple(rows), _BY_SCENE)
+
+
+def _done(students: Students) -> Iterator[Section]:
+    if arms := students.get((DONE, "text"), []):
+        rows = tuple(
+            (tasks, str(len(arms)), *(_done_cell(arms, f"{tasks}.{name}") for name in (FLAG_AUROC, FLAG_ECE, POINTS)))
+            for tasks in TASK_SETS
+        )
+        yield Section(("tasks", "seeds", "AUROC", "ECE", "points"), rows, _DONE)
+
+
+def _done_cell(arms: Sequence[ArmResult], name: str) -> str:
+    samples = [each.samples[name] for each in arms]
+    low, high = claims.interval(samples)
+    return f"{claims.mean(samples):.3f} [{low:.3f}, {high:.3f}]"
 
 
 def _rows_by_task(students: Students) -> Iterator[tuple[str, ...]]:
@@ -246,6 +300,11 @@ def _rows_by_task(students: Students) -> Iterator[tuple[str, ...]]:
 def _dissertation() -> Iterator[tuple[str, ...]]:
     for how in ("text", "code", "none"):
         yield "as printed", how, "", *(f"{_DISSERTATION[how, part]:.1f}" for part in PARTS)
+
+
+def _part_cells(arms: Sequence[ArmResult], figure: str, unit: float) -> Iterator[str]:
+    parts = _parts(arms)
+    return (_cell(_samples(arms, part, figure), unit) if part in parts else "" for part in PARTS)
 
 
 def _cell(samples: Sequence[Sample], unit: float) -> str:

@@ -1,14 +1,20 @@
 """Policies that PPO trains on one of several rewards, in the tasks of figure 4.6 and in the pendulum of figure 4.4."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import torch
+
 from experiments.robustness.evaluated import evaluate
-from experiments.robustness.worlds import NEAR
+from experiments.robustness.worlds import CAMERA, NEAR
 from experiments.workbench.arms import Arm
 from experiments.workbench.pipelines import Step, Trials, fit_step, step
 from experiments.workbench.results import Sample
+from freerein.data import Dataset, dataset_path
+from freerein.types.common import Camera
+from freerein_orchestrator.rewards.vice import SuccessClassifier, examples, fit
 
 LEARNED, ORACLE, BASE, RULE, VICE = "learned", "oracle", "base", "rule", "vice"
 CURIOSITY, CONSTANT, ALIVE = "curiosity", "constant", "alive"
@@ -17,10 +23,14 @@ PENDULUM = "pendulum"
 
 OURS, DISSERTATION = "ours", "dissertation"
 TUNING = "tuning"
-RETURN, POINTS = "return", "points"
+RETURN, POINTS, RANDOM = "return", "points", "random"
 
-_PPO, _RETURNS = "ppo", "returns"
-_EPISODES, _IMAGES, _SUCCESSES = 100, 1000, 100
+TOLD_SUCCESS, TOLD_FAILURE = "told-success", "told-failure"
+"""Shares of held-out frames of success, and of failure, that the classifier of `vice` tells as what they are."""
+
+_PPO, _RETURNS, _WON, _HELD_OUT = "ppo", "returns", "won", "won-held-out"
+_HELD_OUT_SUCCESSES, _HELD_OUT_SEED = 50, 1_000_004
+_EPISODES, _IMAGES, _IMAGE_STEPS, _SUCCESSES = 100, 1000, 6, 100
 _SETTLE = 2
 _TICKS = 200_000
 _PUCK_WIDTH = 0.095
@@ -47,9 +57,17 @@ _OURS: Mapping[str, Any] = MappingProxyType({"conditions": [NEAR], "carry_weight
 """As the teachers are trained."""
 
 _DISSERTATIONS: Mapping[str, Any] = MappingProxyType(
-    {"encoder": "spatial", "action_repeat": 1, "episode_steps": 0, "iterations": _TICKS // (16 * 64)}
+    {
+        "encoder": "spatial",
+        "action_repeat": 1,
+        "episode_steps": 0,
+        "iterations": (_TICKS - _IMAGES * _IMAGE_STEPS) // (16 * 64),
+    }
 )
-"""The dissertation's row: an encoder that is trained, a binary reward, no curriculum, no repeat, no shaping."""
+"""The dissertation's row: an encoder that is trained, a binary reward, no curriculum, no repeat, no shaping.
+
+Its ticks and those of the images that the reward of pushing learns from are within the budget.
+"""
 
 _BALANCING: Mapping[str, Any] = MappingProxyType(
     {
@@ -74,18 +92,40 @@ def steps(arm: Arm) -> list[Step]:
 
 
 def samples(trials: Trials) -> Iterator[tuple[str, Sample]]:
-    """Yields returns by true states in points, and as a share of the expert's where there is one."""
+    """Yields returns by true states in points, those of random actions, and a share of the expert's if there is one."""
     episodes = trials[_RETURNS]
-    own = [each["episode_return"] for each in episodes]
+    own, chance = ([each[key] for each in episodes] for key in ("episode_return", "baseline_return"))
     yield POINTS, Sample(own, [1] * len(own))
+    yield RANDOM, Sample(chance, [1] * len(chance))
     if "expert_return" in episodes[0]:
         yield RETURN, Sample(own, [each["expert_return"] for each in episodes])
+
+
+def classifier_samples(data: Path, *, seed: int) -> Iterator[tuple[str, Sample]]:
+    """Yields how a training's classifier of success, fitted as it was there, tells frames that it has not seen.
+
+    Args:
+        data: The training's data directory, with its datasets.
+        seed: That of the training.
+    """
+    datasets = [Dataset(dataset_path(data, name)) for name in (_WON, _HELD_OUT)]
+    camera = Camera(CAMERA, *datasets[0].spec.cameras[CAMERA])
+    network = SuccessClassifier(camera.height, camera.width, camera.channels)
+    seen, held_out = (examples(each, [camera]) for each in datasets)
+    fit(network, *seen, torch.Generator().manual_seed(seed))
+    with torch.no_grad():
+        for name, frames, success in zip((TOLD_SUCCESS, TOLD_FAILURE), held_out, (True, False), strict=True):
+            yield name, Sample(((network(frames) > 0) == success).float().tolist(), [1] * len(frames))
 
 
 def _examples(arm: Arm) -> Iterator[Step]:
     """Yields what a reward learns from before the training."""
     if arm.method == VICE:
-        yield step("won", "collect", dataset="won", task=arm.world, count=_SUCCESSES, seed=arm.seed, settle=_SETTLE)
+        for name, count, seed in (
+            (_WON, _SUCCESSES, arm.seed),
+            (_HELD_OUT, _HELD_OUT_SUCCESSES, _HELD_OUT_SEED),
+        ):
+            yield step(name, "collect", dataset=name, task=arm.world, count=count, seed=seed, settle=_SETTLE)
     if arm.world == PUSH and arm.method == LEARNED:
         images = {"behaviour": "random", "count": _IMAGES, "cameras": ["front"], "seed": arm.seed}
         yield step("images", "collect", dataset="images", task="push.scatter", **images)
@@ -95,7 +135,7 @@ def _examples(arm: Arm) -> Iterator[Step]:
 def _training(arm: Arm) -> dict[str, Any]:
     config: dict[str, Any] = {"task": arm.world, "reward": arm.method, "seed": arm.seed}
     if arm.method == VICE:
-        config["dataset"] = "won"
+        config["dataset"] = _WON
     if arm.world == PUSH:
         config["goal_text"] = PUSH_TEXT
     return config | dict(_tuning(arm))

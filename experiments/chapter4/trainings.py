@@ -39,8 +39,12 @@ class Trainings(Experiment):
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]
     ) -> Outcome | None:
         """Trains a policy, and evaluates it on true states; see `Experiment`."""
-        trials = run_pipeline(trained_on.steps(arm), folder, on_progress)
-        return None if trials is None else Outcome({}, dict(trained_on.samples(trials)))
+        has_examples = arm.method == trained_on.VICE
+        trials = run_pipeline(trained_on.steps(arm), folder, on_progress, keeps_datasets=has_examples)
+        if trials is None:
+            return None
+        told = trained_on.classifier_samples(folder / "data", seed=arm.seed) if has_examples else ()
+        return Outcome({}, {**dict(trained_on.samples(trials)), **dict(told)})
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the table of the arms that have results."""

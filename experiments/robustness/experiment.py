@@ -40,6 +40,8 @@ AUGMENTATION: Mapping[str, float] = MappingProxyType({"augmented": 1.0, "plain":
 
 SEGMENTATION, REWARD, PPO, UNFAMILIAR = "segmentation", "reward", "ppo", unfamiliar.METHOD
 
+_MORE_REWARDS = (criteria.METHOD, visited_states.METHOD)
+
 _VERSION = 1
 """Of the evaluation; a new one replaces all results."""
 
@@ -62,8 +64,9 @@ class RobustnessExperiment(Experiment):
 
     Attributes:
         seeds: Number of independently trained networks of each kind.
-        policies: Folder of the orchestrator's policies. The reward is judged on the states of those that a language
-            policy is distilled from; the teachers of chapter 4 are in it, too.
+        policies: Folder of the orchestrator's policies: those that a language policy is distilled from, and the
+            teachers of chapter 4, each by the name of its task. Only final policies ship, so that the reward is judged
+            on their states.
     """
 
     seeds: int = 3
@@ -83,7 +86,7 @@ class RobustnessExperiment(Experiment):
                 for seed in range(self.seeds)
             ),
             *(Arm(world, UNFAMILIAR, {}, seed) for world in (DEMONSTRATED, SCATTERED) for seed in range(self.seeds)),
-            *(Arm(SCATTERED, criteria.METHOD, {}, seed) for seed in range(self.seeds)),
+            *(Arm(SCATTERED, method, {}, seed) for method in _MORE_REWARDS for seed in range(self.seeds)),
             *(Arm(task, PPO) for task in tasks),
             *policies.arms(self.seeds),
             *(Arm(language.SIDES[0], policies.PPO_SPEED, seed=run) for run in range(policies.SPEED_RUNS)),
@@ -92,7 +95,11 @@ class RobustnessExperiment(Experiment):
     @property
     def _policies(self) -> dict[str, StoredPolicy]:
         stored = stored_policies(self.policies)
-        return {policy.task: policy for policy in stored if Path(policy.folder).parent.name in language.TEACHERS}
+        return {policy.task: policy for policy in stored if policy.name in language.TEACHERS}
+
+    @property
+    def _teachers(self) -> list[StoredPolicy]:
+        return [policy for policy in stored_policies(self.policies) if policy.name == policy.task]
 
     def config(self, arm: Arm) -> Config:
         """Returns the specs of all data, the service's configuration of a fit, and the policy that acts."""
@@ -117,13 +124,17 @@ class RobustnessExperiment(Experiment):
             config["grounding"] = reward_model.grounding_version()
         if arm.method == UNFAMILIAR:
             config["effects"] = list(unfamiliar.EFFECTS)
+        return config | {"test": self._test(arm)}
+
+    def _test(self, arm: Arm) -> object:
+        """Returns the specs of what an arm is evaluated on."""
         if arm.world == DEMONSTRATED:
-            config["test"] = segmentation.test_specs()
-        elif arm.world == SCATTERED:
-            config["test"] = list(_scenes(arm).values())
-        else:
-            config["test"] = visited_states.rollouts(self._policies[arm.world], NOMINAL)
-        return config
+            return segmentation.test_specs()
+        if arm.method == visited_states.METHOD:
+            return [visited_states.rollouts(each, NOMINAL) for each in self._teachers]
+        if arm.world == SCATTERED:
+            return list(_scenes(arm).values())
+        return visited_states.rollouts(self._policies[arm.world], NOMINAL)
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Draws what is learned from and what fits are evaluated on; pipelines draw their own, and texts need none."""
@@ -165,6 +176,8 @@ class RobustnessExperiment(Experiment):
         """Returns the figures of a reward model."""
         if arm.world != SCATTERED:
             return visited_states.evaluate(model, self._policies[arm.world], work)
+        if arm.method == visited_states.METHOD:
+            return visited_states.evaluate_all(model, self._teachers, work)
         if arm.method == UNFAMILIAR:
             return unfamiliar.evaluate_reward(model, work)
         parts = [scenes.evaluate(model, work), wordings.evaluate(model, work)]
@@ -186,7 +199,7 @@ def _segments(arm: Arm) -> bool:
 
 
 def _rewards(arm: Arm) -> bool:
-    return arm.method == REWARD or (arm.method, arm.world) == (UNFAMILIAR, SCATTERED)
+    return arm.method in (REWARD, visited_states.METHOD) or (arm.method, arm.world) == (UNFAMILIAR, SCATTERED)
 
 
 def _scenes(arm: Arm) -> Mapping[tuple[str, str], Scenes]:

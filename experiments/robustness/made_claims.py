@@ -38,7 +38,8 @@ def samples_of(results: Sequence[ArmResult], name: str) -> list[Sample]:
     by_seed: dict[int, list[ArmResult]] = {}
     for result in results:
         by_seed.setdefault(result.seed, []).append(result)
-    return [visited_states.join([result.samples[name] for result in each]) for each in by_seed.values()]
+    parts = ([_with_derived(result.samples, name)[name] for result in each] for each in by_seed.values())
+    return [visited_states.join(each) for each in parts]
 
 
 def _make(target: Target, results: Sequence[ArmResult]) -> Made | None:
@@ -110,6 +111,11 @@ def _make_of_runs(target: Target, results: Sequence[ArmResult]) -> Made:
         minutes=round(sum(each.minutes for each in runs), 2),
     )
     return Made(target, claim, processor, runs)
+
+
+def _with_derived(samples: Mapping[str, Sample], name: str) -> Mapping[str, Sample]:
+    """Returns samples, and where they lack a figure what follows from those of visited states."""
+    return samples if name in samples else visited_states.derived(samples)
 
 
 def processor_of(result: ArmResult) -> str:

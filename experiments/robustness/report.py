@@ -119,10 +119,20 @@ def _claims_section(made: Sequence[Made]) -> Section:
         interval = f"{claim.value:.4g} [{claim.low:.4g}, {claim.high:.4g}{of_runs}]"
         met = {True: "yes", False: "**no**", None: ""}[claim.met]
         beside = ("" if value is None else f"{value:.4g}" for value in (claim.baseline, claim.ceiling))
-        rows.append((f"`{claim.claim}`", each.target.text, interval, each.target.must_reach, met, *beside, found))
+        measured = (each.target.text, _pooled(each.arms), interval, each.target.must_reach, met)
+        rows.append((f"`{claim.claim}`", *measured, *beside, found))
     value = "value [95 % interval; of runs: median, range]"
-    header = ("claim", "what", value, "must reach", "met", "baseline", "ceiling", "the worst is, or the processor")
+    found = "the worst is, or the processor"
+    header = ("claim", "what", "seeds by task", value, "must reach", "met", "baseline", "ceiling", found)
     return Section(header, tuple(rows), "Claims")
+
+
+def _pooled(arms: Sequence[ArmResult]) -> str:
+    """Returns the seeds of the arms whose trials are joined, by task."""
+    seeds: dict[str, list[int]] = {}
+    for each in arms:
+        seeds.setdefault(each.world, []).append(each.seed)
+    return "; ".join(f"{world}: {', '.join(map(str, sorted(of)))}" for world, of in sorted(seeds.items()))
 
 
 def _conditions_section(results: Sequence[ArmResult], columns: Sequence[_Column]) -> Section:
@@ -174,6 +184,10 @@ def _visited_section(results: Sequence[ArmResult]) -> Section:
         for variant in _VARIANTS:
             if arms := _arms(results, _Column("", "", world, "reward", variant, "")):
                 rows.append((world, variant, *(_interval(arms, figure) for figure in figures)))
+    if arms := [each for each in results if each.method == visited_states.METHOD]:
+        for group in (visited_states.ALL, *visited_states.RELATIONS):
+            named = (visited_states.of_group(group, figure) for figure in figures)
+            rows.append((f"teachers, {group}", OURS, *(_interval(arms, name) for name in named)))
     header = (
         "task",
         "fit",
@@ -210,6 +224,8 @@ def _trainings_section(results: Sequence[ArmResult]) -> Section:
     starts = {
         policies.PPO: "on the way",
         policies.PPO_AUGMENTED: "on the way; eye fitted to augmented frames",
+        policies.PPO_NEAR: "gripper near; repeats of failures",
+        policies.PPO_NEAR_CARRY: "gripper near, carrying shaped; repeats of failures",
         policies.PPO_OWN_STARTS: "the task's own",
         policies.PPO_PRACTICE: "the task's own, and practice",
     }

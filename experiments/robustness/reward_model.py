@@ -8,7 +8,7 @@ import numpy.typing as npt
 import safetensors.numpy
 import torch
 
-from experiments.robustness.draw import Drawn, Exploration, dataset_path, open_or_draw
+from experiments.robustness.draw import Drawn, Exploration, Spec, dataset_path, open_or_draw
 from experiments.robustness.fits import fit_once
 from experiments.robustness.worlds import CAMERA
 from experiments.workbench.locks import locked
@@ -34,24 +34,21 @@ def fit_config(*, augmentation: float, seed: int) -> RewardConfig:
     return RewardConfig.from_mapping({**given, "augmentation": augmentation, "seed": seed})
 
 
-def fit_model(config: RewardConfig, work: Path, on_progress: Callable[[], None]) -> DualEncoderModel | None:
+def fit_model(
+    config: RewardConfig, work: Path, on_progress: Callable[[], None], *, training: Spec = TRAINING
+) -> DualEncoderModel | None:
     """Returns the fitted model; None when the fit was stopped."""
 
     def make_learner() -> RewardModelLearner:
-        grounding, drawn = open_grounding(), open_or_draw(TRAINING, work)
+        grounding, drawn = open_grounding(), open_or_draw(training, work)
         x, y, heat, presence = _located(grounding, drawn, work / "datasets" / name)
         relations, half_heat = image_relations(x, y, heat, presence, config)
         dataset = CaptionDataset((drawn.seen["frames"],), PHRASES, relations, half_heat)
-        training, validation = dataset.split(
-            drawn.seen["lengths"], fraction=config.validation_fraction, seed=config.seed
-        )
-        spec = network_spec(grounding.network.spec, config)
-        version = grounding_version()
-        return RewardModelLearner(
-            config, spec, training, validation, grounding, version, f"{data} {version}", torch.device("cpu")
-        )
+        parts = dataset.split(drawn.seen["lengths"], fraction=config.validation_fraction, seed=config.seed)
+        spec, version = network_spec(grounding.network.spec, config), grounding_version()
+        return RewardModelLearner(config, spec, *parts, grounding, version, f"{data} {version}", torch.device("cpu"))
 
-    data = dataset_path(TRAINING, work).name
+    data = dataset_path(training, work).name
     name = f"{data}.{grounding_version()}.safetensors"
     inputs = [data, grounding_version()]
     folder = fit_once(config, inputs, make_learner, work=work, on_progress=on_progress)

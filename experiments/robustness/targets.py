@@ -1,6 +1,6 @@
 """The targets of the benchmark: what each claim measures, and what it must reach."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -84,6 +84,32 @@ def _distracted() -> Iterator[Target]:
     )
 
 
+def _visited() -> Iterator[Target]:
+    """Yields the claims of rewards on states that the 18 teachers visit, together and by relation."""
+    everywhere, relations = ((visited_states.ALL,), visited_states.RELATIONS)
+    at_share, recall, told = visited_states.PRECISION_AT_SHARE, visited_states.RECALL, "reward on states of 18 teachers"
+    worst = ("reward_recall_worst",)
+    also = ("reward_precision_worst", "reward_recall", *worst)
+    figures: tuple[tuple[str, str, Sequence[str], str, dict[str, Any]], ...] = (
+        ("precision", "precision as if 40 % were of the goal", everywhere, at_share, {"least": 0.97, "also": also}),
+        ("precision_worst", "the same, the worst relation", relations, at_share, {"least": 0.93, "also": worst}),
+        ("recall", "recall", everywhere, recall, {"least": 0.9}),
+        ("recall_worst", "recall, the worst relation", relations, recall, {"least": 0.9}),
+        ("false_positives", "share of others rewarded", everywhere, visited_states.FALSE_POSITIVE_RATE, {}),
+        ("precision_visited", "precision, as visited", everywhere, visited_states.PRECISION, {}),
+        (
+            "base_rate",
+            "share of the goal: precision of a constant",
+            everywhere,
+            visited_states.SHARE_TRUE,
+            {},
+        ),
+    )
+    for name, text, groups, figure, bounds in figures:
+        samples = tuple(visited_states.of_group(group, figure) for group in groups)
+        yield Target(f"reward_{name}", f"{told}: {text}", (SCATTERED,), samples, method=visited_states.METHOD, **bounds)
+
+
 def _criteria() -> Iterator[Target]:
     """Yields the claims of rewards of the second method, which knows the criteria of table 4.1."""
     more: dict[str, Any] = {"worlds": (SCATTERED,), "method": criteria.METHOD}
@@ -142,7 +168,7 @@ def _augmented() -> Iterator[Target]:
 
 def _reinforced(claim: str, text: str, least: float, worlds: tuple[str, ...], sample: str) -> Target:
     told = f"PPO under `start-on-the-way`, % of the expert: {text}"
-    return Target(claim, told, worlds, (sample,), least, unit=_PER_CENT, method=policies.PPO)
+    return Target(claim, told, worlds, (sample,), least, unit=_PER_CENT, seeds=policies.PPO_SEEDS, method=policies.PPO)
 
 
 def _reinforced_augmented() -> Iterator[Target]:
@@ -162,6 +188,7 @@ def _reinforced_augmented() -> Iterator[Target]:
                 (policies.under(condition, policies.RETURN_ALL),),
                 least,
                 unit=_PER_CENT,
+                seeds=policies.PPO_SEEDS,
                 method=policies.PPO_AUGMENTED,
                 baseline=policies.PPO if condition == NOMINAL else "",
             )
@@ -181,7 +208,7 @@ def _done(claim: str, text: str, sample: str, **more: Any) -> Target:
 
 
 def _texts(claim: str, text: str, *samples: str, **more: Any) -> Target:
-    return Target(claim, text, (SCATTERED,), samples, method=goal_texts.TEXTS, **more)
+    return Target(claim, text, (SCATTERED,), samples, seeds=1, method=goal_texts.TEXTS, **more)
 
 
 def _forbidden(claim: str, text: str, figure: str, *readers: str, **more: Any) -> Target:
@@ -205,28 +232,7 @@ TARGETS = (
         tuple(f"{condition}.blocks-2.{scenes.ABSENT_REWARDED}" for condition in conditions(SCATTERED)),
         most=0.02,
     ),
-    Target(
-        "reward_precision",
-        "precision of the reward on states that PPO's policies visit, as if 40 % were of the goal, at recall ≥ 0.9",
-        (),
-        (visited_states.PRECISION_AT_SHARE,),
-        least=0.97,
-        also=("reward_recall",),
-    ),
-    Target("reward_recall", "recall of the reward there", (), (visited_states.RECALL,), least=0.9),
-    Target(
-        "reward_false_positives",
-        "share of the states there in which the goal does not hold that are rewarded",
-        (),
-        (visited_states.FALSE_POSITIVE_RATE,),
-    ),
-    Target("reward_precision_visited", "precision of the reward there, as visited", (), (visited_states.PRECISION,)),
-    Target(
-        "reward_base_rate",
-        "share of the states there in which the goal holds: the precision of a reward that is always given",
-        (),
-        (visited_states.SHARE_TRUE,),
-    ),
+    *_visited(),
     Target(
         "wordings",
         "recall of the reward, worst class of wordings, at a false rate ≤ 0.04",
@@ -306,8 +312,8 @@ TARGETS = (
             method=method,
         )
         for method, begin in (
-            (policies.PPO_NEAR, "as the task does, in half of them with the gripper near the block"),
-            (policies.PPO_NEAR_CARRY, "so, with a reward that carrying shapes"),
+            (policies.PPO_NEAR, "as the task does, in half with the gripper near the block; repeats of failures"),
+            (policies.PPO_NEAR_CARRY, "so, with a reward that carrying shapes; repeats of failures"),
             (policies.PPO_OWN_STARTS, "as the task does"),
             (policies.PPO_PRACTICE, "as the task does, and some where others were on their way to a reward"),
         )
@@ -358,10 +364,10 @@ TARGETS = (
         "ppo_speed",
         "PPO on the learned reward over the network, simulated control ticks per second",
         speed.TICKS_PER_S,
-        least=1000,
+        least=850,
         also=("ppo_speed_ratio",),
     ),
-    _speed("ppo_speed_held", "the same, each action held for two ticks", speed.TICKS_PER_S_HELD),
+    _speed("ppo_speed_held", "the same, each action held for two ticks", speed.TICKS_PER_S_HELD, least=1300),
     _speed("ppo_speed_ratio", "of the same in one process", speed.NETWORK_VS_IN_PROCESS, least=0.8),
 )
 """The claims that have a target."""

@@ -40,6 +40,11 @@ class StoredPolicy:
     folder: str
     sha256: str
 
+    @property
+    def name(self) -> str:
+        """Its name among the models."""
+        return Path(self.folder).parent.name
+
 
 def stored_policies(folder: Path) -> tuple[StoredPolicy, ...]:
     """Returns the policies in a folder of models, by name: one for each task."""
