@@ -121,14 +121,15 @@ class ForkServer:
         return cls(ours)
 
     def start(self, program: Program) -> ChildProcess:
-        """Starts a child process by a fork; by `spawn` where the fork server was killed."""
-        status, status_of_child = os.pipe()
-        with os.fdopen(os.memfd_create("program"), "w+b") as request, os.fdopen(status_of_child):
+        """Starts a child process by a fork; by `spawn` where the fork server was killed, or could not fork it."""
+        with os.fdopen(os.memfd_create("program"), "w+b") as request:
             request.write(json.dumps([program.module, list(program.arguments), dict(program.environ)]).encode())
             request.flush()
-            fds = [request.fileno(), status_of_child, program.stdin, program.stdout, program.stderr, *program.keep]
-            with suppress(OSError):  # where nobody is left, nobody writes to `status`
-                socket.send_fds(self._requests, [b"\0"], fds)
+            status, status_of_child = os.pipe()
+            with os.fdopen(status_of_child):
+                fds = [request.fileno(), status_of_child, program.stdin, program.stdout, program.stderr, *program.keep]
+                with suppress(OSError):  # where nobody is left, nobody writes to `status`
+                    socket.send_fds(self._requests, [b"\0"], fds)
         if pid := os.read(status, _NUMBER.size):
             return _Forked(_NUMBER.unpack(pid)[0], status)
         os.close(status)
@@ -178,12 +179,20 @@ def serve(requests: socket.socket, *late_imports: str) -> NoReturn:
     while fds := socket.recv_fds(requests, 1, _MOST_FDS)[1]:
         for module in late_imports:
             import_module(module)
-        if os.fork() == 0:
+        if _fork() == 0:
             requests.close()
             _monitor(*fds)
         for fd in fds:
             os.close(fd)
     os._exit(0)
+
+
+def _fork() -> int | None:
+    """Forks as `os.fork`; returns None where the system refuses it, as for want of memory or of process ids."""
+    try:
+        return os.fork()
+    except OSError:
+        return None
 
 
 def _name_process(name: str) -> None:
@@ -199,9 +208,11 @@ def _reap(*_: object) -> None:
 
 
 def _monitor(request: int, status: int, *fds: int) -> NoReturn:
-    """Forks a child, and reports its process id and its exit code."""
+    """Forks a child, and reports its process id and its exit code; nothing where the fork is refused."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    pid = os.fork()
+    pid = _fork()
+    if pid is None:
+        os._exit(1)
     if pid == 0:
         os.close(status)
         _run(request, *fds)

@@ -104,6 +104,7 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
     calls: list[str] = field(default_factory=list)
     failures: list[grpc.StatusCode] = field(default_factory=list)
     refusal: str = ""
+    reset_refusal: str = ""
     lost: dict[str, str] = field(default_factory=dict)
 
     def lose_sessions(self, code: str) -> None:
@@ -130,6 +131,7 @@ class Sim(sim_pb2_grpc.SimServiceServicer):
     def Reset(self, message, context):
         self.calls.append("Reset")
         request = wire.unpack(message, ResetRequest)
+        self.refusal, self.reset_refusal = self.refusal or self.reset_refusal, ""
         self.refuse_lost(request.session, context)
         session = self.sessions[request.session]
         if request.seed is not None:
@@ -484,6 +486,23 @@ def test_where_an_episode_ends_the_next_step_begins_another_whatever_its_action(
     assert "final_obs" not in info
     third, *_ = envs.step(np.stack([GO, GO, GO]))
     assert (third[:, 0, 0, 0] - begun[:, 0, 0, 0]).tolist() == [1, 1, 1]
+    envs.close()
+
+
+def test_where_only_the_reset_of_a_step_failed_the_step_is_not_made_twice(address: str, service: Sim) -> None:
+    envs = SimVectorEnv("slide", address, num_envs=2, autoreset_mode=AutoresetMode.NEXT_STEP)
+    envs.reset(seed=2)
+    last, *_ = envs.step(np.stack([GO, STOP]))
+    [session] = service.sessions.values()
+    service.reset_refusal = "overloaded"
+    with pytest.raises(ServiceError):
+        envs.step(np.stack([GO, GO]))
+    again, *_ = envs.step(np.stack([GO, GO]))
+    assert session.steps == 2
+    assert again[:, 0, 0, 0].tolist() == [line.position for line in session.lines]
+    assert again[0].max() == last[0].max() + 1
+    other, *_ = envs.step(np.stack([GO, GO]))
+    assert (session.steps, other[0].max()) == (3, again[0].max() + 1)
     envs.close()
 
 

@@ -104,6 +104,20 @@ def test_small_frames_are_enlarged_on_request(is_dict: bool) -> None:
     assert large.observation_space.contains(last)
 
 
+def test_frames_without_a_channel_axis_stay_as_their_space_says() -> None:
+    class Gray(Walk):
+        def observe(self) -> Any:
+            return super().observe()[..., 0]
+
+    def gray() -> Gray:
+        env = Gray(is_dict=False)
+        env.observation_space = spaces.Box(0, 255, FRAME.shape[:2], np.uint8)
+        return env
+
+    envs = SB3VecEnv(same_step(gray, 4), render_size=36)
+    assert envs.reset().shape == (4, *envs.observation_space.shape) == (4, 4, 4)
+
+
 def test_cnn_policy_takes_enlarged_frames() -> None:
     envs, small = SB3VecEnv(same_step(lambda: Walk(is_dict=False), 2), render_size=36), {"features_dim": 8}
     PPO("CnnPolicy", envs, n_steps=2, batch_size=4, policy_kwargs={"features_extractor_kwargs": small})

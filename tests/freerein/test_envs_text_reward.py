@@ -149,11 +149,38 @@ def test_a_vector_is_rewarded_by_one_call_and_where_an_episode_ends_by_its_last_
     envs.reset(options={"reset_mask": np.array([False, True])})  # the second one's episodes are longer
     steps = [envs.step(np.zeros(2, np.int64)) for _ in range(BRIGHTEST + 1)]
     assert [reward.tolist() for _, reward, *_ in steps] == [[1, 1], [2, 2], [3, 3], [4, 4], [1, 5]]
-    assert [info["similarity"].tolist() for *_, info in steps] == [reward.tolist() for _, reward, *_ in steps]
-    assert steps[3][-1]["_similarity"].tolist() == [True, True]
-    assert steps[3][2].tolist() == [True, False]
+    *running, last = steps[:4]
+    assert [info["similarity"].tolist() for *_, info in running] == [reward.tolist() for _, reward, *_ in running]
+    assert last[2].tolist() == [True, False]
+    np.testing.assert_equal(last[-1]["similarity"], np.array([np.nan, 4], np.float32))
+    np.testing.assert_equal(last[-1]["final_info"]["similarity"], np.array([4, np.nan], np.float32))
     assert len(judge.requests) == 1 + len(steps)
     envs.close()
+
+
+def test_the_infos_of_resets_have_the_keys_of_steps_and_no_judgement_of_an_old_episode(
+    make: Callable[[], Brighter], address: str
+) -> None:
+    vector = SyncVectorEnv([make, make], autoreset_mode=AutoresetMode.SAME_STEP)
+    envs = SB3VecEnv(VectorTextReward(vector, BRIGHT, address=address, token="secret"))
+    envs.reset()
+    judgements = {"similarity", "in_distribution"}
+    begun = {name: np.float32(np.nan) for name in judgements}
+    np.testing.assert_equal(envs.reset_infos, [begun] * 2)
+    infos = [envs.step(np.zeros(2, np.int64))[-1] for _ in range(BRIGHTEST)]
+    np.testing.assert_equal(envs.reset_infos, [begun] * 2)
+    assert [info["similarity"] for info in infos[-1]] == [BRIGHTEST] * 2
+    assert "terminal_observation" in infos[-1][0]
+    envs.close()
+
+
+def test_a_token_is_not_recorded_in_the_spec_of_an_environment(address: str) -> None:
+    gymnasium.register("Lamp-v0", entry_point=Lamp)
+    env = TextReward(gymnasium.make("Lamp-v0"), BRIGHT, address=address, token="secret", mode="raw")
+    assert env.spec is not None
+    assert env.spec.additional_wrappers[-1].kwargs == {"goal_text": BRIGHT, "address": address, "mode": "raw"}
+    env.close()
+    gymnasium.registry.pop("Lamp-v0")
 
 
 def test_the_model_stays_the_same_and_frames_have_the_cameras_name(address: str, judge: Judge) -> None:

@@ -308,6 +308,27 @@ async def test_cancelled_while_its_model_is_loaded_a_fit_leaves_no_active_model(
     assert not bench.store.active_version("default")
 
 
+async def test_a_fit_is_read_while_calls_that_cancel_it_wait_for_its_end(bench: Bench) -> None:
+    loading, may_end = threading.Event(), threading.Event()
+
+    def load_slowly(folder: Path) -> str:
+        loading.set()
+        may_end.wait()
+        return load(folder)
+
+    bench.models = ModelCache(bench.store, load_slowly, fit_command="freerein fit toy")
+    async with bench.running() as fits:
+        fit = await begin(fits)
+        await asyncio.to_thread(loading.wait)
+        cancelling = [asyncio.create_task(fits.cancel_fit(CancelFitRequest(fit.id))) for _ in range(4)]
+        reading = asyncio.create_task(fits.get_fit(GetFitRequest(fit.id)))  # begins after them
+        await reading
+        are_waiting = [not each.done() for each in cancelling]
+        may_end.set()
+        await asyncio.gather(*cancelling)
+    assert are_waiting == [True] * 4
+
+
 async def test_a_fit_whose_model_is_being_activated_is_no_longer_cancelled(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

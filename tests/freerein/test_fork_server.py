@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -25,18 +26,28 @@ if read == "raise":
     raise ValueError("as it was told to")
 sys.exit(int(read or 0))
 """
+REFUSED_FORKS = f"""
+import errno, os, sys
+answers, fork = os.open(sys.argv[2], os.O_RDONLY), os.fork
+def fork_or_not():
+    if os.read(answers, 1) == b"n":
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+    return fork()
+os.fork = fork_or_not
+{SERVE}
+"""
 
 
 class Children:
-    """A fork server in a process of its own, and what it starts."""
+    """A fork server in a process of its own, and what it starts; `program` is that process, after `SERVE`."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, program: str = SERVE, *arguments: str) -> None:
         self._folder = folder
         (folder / "told_child.py").write_text(CHILD)
         self.ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         environ = {**os.environ, "PYTHONPATH": str(folder)}
         with theirs:
-            command = [sys.executable, "-c", SERVE, str(theirs.fileno())]
+            command = [sys.executable, "-c", program, str(theirs.fileno()), *arguments]
             self.server = subprocess.Popen(command, pass_fds=[theirs.fileno()], env=environ)
         self.start = ForkServer(self.ours).start
 
@@ -113,3 +124,34 @@ def test_where_the_fork_server_was_killed_a_child_is_spawned(children):
     os.close(stdin)
     assert child.wait(60) == 0
     assert isinstance(child, subprocess.Popen)
+
+
+def test_where_a_fork_is_refused_that_child_is_spawned_and_the_next_one_forked_again(tmp_path):
+    (tmp_path / "answers").write_text("n" + "yn" + "yy")  # to the fork server, and to its monitors
+    children = Children(tmp_path, REFUSED_FORKS, str(tmp_path / "answers"))
+    are_spawned = []
+    for _ in range(3):
+        child, stdin = children.run()
+        os.close(stdin)
+        assert child.wait(60) == 0
+        are_spawned.append(isinstance(child, subprocess.Popen))
+    children.ours.close()
+    assert (children.server.wait(60), are_spawned) == (0, [True, True, False])
+
+
+def test_where_descriptors_run_out_a_start_leaves_none_of_its_own_open():
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        before = psutil.Process().num_fds()
+        fillers = [os.dup(0) for _ in range(3)]  # each the lowest that is free
+        resource.setrlimit(resource.RLIMIT_NOFILE, (fillers[-1] + 1, hard))
+        try:
+            for _ in range(2):
+                os.close(fillers.pop())
+            with pytest.raises(OSError, match="Too many open files"):
+                ForkServer(ours).start(Program("told_child", (), {}, 0, 1, 2))
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        os.close(fillers.pop())
+        assert psutil.Process().num_fds() == before

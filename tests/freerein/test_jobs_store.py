@@ -206,6 +206,15 @@ def test_pages_hold_each_job_once_newest_first_whatever_is_started_meanwhile(sto
     assert end == ""
 
 
+def test_a_page_goes_on_where_the_last_one_ended_though_that_job_is_deleted(store):
+    ids = [store.create(START, {}) for _ in range(4)]
+    first, token = store.page(2, "")
+    assert store.page(2, token) == (ids[1::-1], "")
+    for job_id in first:
+        store.delete(job_id)
+    assert store.page(2, token) == (ids[1::-1], "")
+
+
 @pytest.mark.fault("F10")
 def test_a_page_ends_before_its_reply_is_too_large_and_the_next_one_continues(store):
     large = [store.create(START, {"kind": "ppo", "config": {"bytes": [1] * 120_000}, "steps": 1}) for _ in range(7)]
@@ -275,6 +284,20 @@ def test_metrics_of_a_job_that_has_none_are_empty_and_too_many_are_refused(store
         store.metrics(JobMetricsRequest(run_id, max_rows=10_001))
     with pytest.raises(NotFound):
         store.metrics(JobMetricsRequest("0" * 32))
+
+
+def test_metrics_of_a_job_that_is_deleted_while_they_are_read_are_not_found(store, monkeypatch):
+    run_id = store.create(REQUEST, {})
+    MetricsWriter(store.folder(run_id) / "metrics.jsonl", last_step=0).append(1, {"loss": 0.5})
+    open_file = Path.open
+
+    def open_deleted(path: Path, *arguments: Any, **options: Any) -> Any:
+        shutil.rmtree(store.folder(run_id))
+        return open_file(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "open", open_deleted)
+    with pytest.raises(NotFound):
+        store.metrics(JobMetricsRequest(run_id))
 
 
 @pytest.mark.parametrize("length", [10, 1 << 16, 300_000])

@@ -66,7 +66,8 @@ class SessionOptions(TypedDict, total=False):
         lease_s: Seconds after which the service ends the session when this process is gone or stopped; at most 3600.
             While it lives, a thread renews the lease.
         render_mode: None, or `rgb_array`: `render()` returns the first camera's latest frame, uint8 (H, W, 3).
-        token: Bearer token; empty for none.
+        token: Bearer token; empty for none. `gymnasium.make` records it in `env.spec`, which wrappers may log or save;
+            an environment that its class makes has no spec.
         root_certificates: PEM root certificates for TLS; None for no TLS.
     """
 

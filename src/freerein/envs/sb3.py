@@ -15,11 +15,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 from gymnasium.wrappers.vector import DictInfoToList
 
 from freerein.envs.autoreset import check_same_step
-from freerein.envs.enlarged_frames import enlarged, enlarged_space
+from freerein.envs.enlarged_frames import enlarged, enlarged_space, enlargement
 from freerein.envs.env_session import Observation
 
 _NO_SINGLE_ENVIRONMENTS = "The environments of a vector step together: no single one has methods or attributes to set."
@@ -42,8 +43,10 @@ class SB3VecEnv(VecEnv):
     def __init__(self, envs: VectorEnv[Observation, Any, npt.NDArray[Any]], *, render_size: int = 0) -> None:
         check_same_step(envs)
         self._envs = DictInfoToList(envs)
-        self._render_size = render_size
-        space = enlarged_space(envs.single_observation_space, render_size)  # a copy: `VecNormalize` changes its own
+        single = envs.single_observation_space
+        parts = single.items() if isinstance(single, spaces.Dict) else [("", single)]
+        self._factors = {name: enlargement(part, render_size) for name, part in parts}
+        space = enlarged_space(single, render_size)  # a copy: `VecNormalize` changes its own
         super().__init__(envs.num_envs, space, deepcopy(envs.single_action_space))
         self.metadata = envs.metadata | self.metadata
 
@@ -73,8 +76,8 @@ class SB3VecEnv(VecEnv):
     def _enlarged(self, observations: Observation) -> VecEnvObs:
         """Returns observations, (..., H, W, C) or a dict of them, as large as the space says."""
         if isinstance(observations, dict):
-            return {name: enlarged(each, self._render_size) for name, each in observations.items()}
-        return enlarged(observations, self._render_size)
+            return {name: enlarged(each, self._factors[name]) for name, each in observations.items()}
+        return enlarged(observations, self._factors[""])
 
     def close(self) -> None:
         """Closes the environments."""

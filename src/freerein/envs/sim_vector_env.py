@@ -70,6 +70,7 @@ class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]
         self._latest: CameraFrames | None = None  # what is observed
         self._begun: CameraFrames = {}  # the same, but of environments that reset in the next step their first frames
         self._resets_next = np.zeros(num_envs, np.bool_)
+        self._made: tuple[npt.NDArray[Any], StepResponse] | None = None  # a step whose second call, a reset, failed
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -85,6 +86,7 @@ class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]
         """
         super().reset(seed=seed)
         envs = _masked(options["reset_mask"], self.num_envs) if options and "reset_mask" in options else ()
+        self._made = None
         reply = self._session.begin(seed=seed, envs=envs)
         is_new = self._session.is_new
         begun = range(self.num_envs) if is_new or not envs else envs
@@ -99,6 +101,8 @@ class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]
     def step(self, actions: npt.ArrayLike) -> Step:
         """Takes one action in each environment: float32 (N, A) in [-1, 1], or discrete choices (N,).
 
+        Where only the second call of a step failed, a step of the same actions repeats that call alone.
+
         Returns:
             Observations; rewards, float64 (N,); terminated and truncated, bool (N,); info, with `diverged` bool (N,).
         """
@@ -107,7 +111,13 @@ class SimVectorEnv(gymnasium.vector.VectorEnv[Observation, Any, npt.NDArray[Any]
         if self._resets_next.all():
             return self._begin_all()
         nothing = self._resets_next.reshape(-1, *[1] * (np.ndim(actions) - 1))
-        return self._step_or_reset(self._session.step(np.where(nothing, 0, actions)))
+        taken = np.where(nothing, 0, actions)
+        made, self._made = self._made, None
+        if made is None or not np.array_equal(made[0], taken):
+            made = taken, self._session.step(taken)
+        self._made = made
+        step, self._made = self._step_or_reset(made[1]), None
+        return step
 
     def _step_and_reset(self, reply: StepResponse) -> Step:
         """Returns a step in which environments reset where their episodes end."""

@@ -35,7 +35,7 @@ class RewardOptions(TypedDict, total=False):
         mode: `binary`, 1 where the goal text fits the frame better than all rivals, else 0; or `raw`, the similarity.
         rivals: Texts that the goal text must beat; by default the goal text with every other relation, and that one of
             its objects is missing.
-        token: Bearer token; empty for none.
+        token: Bearer token; empty for none. It is not recorded in `env.spec`.
         root_certificates: PEM root certificates for TLS; None for no TLS.
     """
 
@@ -65,7 +65,9 @@ class TextReward(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordCo
     """
 
     def __init__(self, env: gymnasium.Env[Observation, Any], goal_text: str, **options: Unpack[RewardOptions]) -> None:
-        RecordConstructorArgs.__init__(self, goal_text=goal_text, **options)
+        recorded: dict[str, Any] = {**options}
+        recorded.pop("token", None)  # specs are logged and saved
+        RecordConstructorArgs.__init__(self, goal_text=goal_text, **recorded)
         super().__init__(env)
         self._rewards = _FrameRewards(env, env.observation_space, goal_text, **options)
 
@@ -93,8 +95,8 @@ class TextReward(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordCo
 class VectorTextReward(VectorWrapper[Observation, Any, Observation, Any, npt.NDArray[Any]]):
     """`TextReward` of a vector of N environments, with one call for all of them.
 
-    Where an episode ended, the last frame of the old one is rewarded; `similarity` and `in_distribution` in `info` are
-    its, too.
+    Where an episode ended, the last frame of the old one is rewarded: `info["final_info"]` has its `similarity` and
+    `in_distribution`, and `info` has NaN there, as after a reset.
 
     Args:
         env: Resets in the step that ends an episode (`AutoresetMode.SAME_STEP`).
@@ -113,15 +115,26 @@ class VectorTextReward(VectorWrapper[Observation, Any, Observation, Any, npt.NDA
         check_same_step(env)
         self._rewards = _FrameRewards(env, env.single_observation_space, goal_text, **options)
 
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins episodes; `info` has the keys of a step's, NaN: no reward is asked of first frames."""
+        observations, info = self.env.reset(seed=seed, options=options)
+        for name in self._rewards.judgements:
+            info |= _entry(name, np.full(self.num_envs, np.nan, np.float32), np.ones(self.num_envs, np.bool_))
+        return observations, info
+
     def step(
         self, actions: Any
     ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
         """Takes one action in each environment; rewards are float64 (N,)."""
         observations, _, terminated, truncated, info = self.env.step(actions)
-        answer = self._rewards.of(last_observations(observations, terminated | truncated, info))
-        everywhere = np.ones(self.num_envs, np.bool_)
+        ended = terminated | truncated
+        answer = self._rewards.of(last_observations(observations, ended, info))
         for name, values in _judgements(answer).items():
-            info |= {name: values, f"_{name}": everywhere}
+            info |= _entry(name, np.where(ended, np.nan, values), np.ones(self.num_envs, np.bool_))
+            if ended.any():
+                info["final_info"] |= _entry(name, np.where(ended, values, np.nan), ended.copy())
         return observations, answer.rewards.astype(np.float64), terminated, truncated, info
 
     def close(self, **kwargs: Any) -> None:
@@ -203,6 +216,11 @@ def _batch_of_one(observation: Observation) -> Observation:
     if isinstance(observation, dict):
         return {name: values[np.newaxis] for name, values in observation.items()}
     return observation[np.newaxis]
+
+
+def _entry(name: str, values: npt.NDArray[np.float32], has: npt.NDArray[np.bool_]) -> dict[str, npt.NDArray[Any]]:
+    """Returns an entry of a vector's `info`: values (N,), and which environments have one."""
+    return {name: values, f"_{name}": has}
 
 
 def _judgements(answer: RewardResponse) -> dict[str, npt.NDArray[np.float32]]:

@@ -18,6 +18,7 @@ import asyncio
 import fcntl
 import json
 import logging
+import re
 import shutil
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
@@ -173,26 +174,24 @@ class JobStore:
 
         A page ends early, after at least one job, so that the configurations on it have at most 1 MiB together.
 
+        The token is the place of a page's last job, which may be deleted before the next page is asked for.
+
         Raises InvalidInput when the page is too large, or the token was not returned by this method.
         """
         size = _bounded(page_size, default=_PAGE, most=_MAX_PAGE, field="page_size")
         sizes = self._newest_first()
-        ids, start = list(sizes), 0
         if page_token:
-            if check_id(page_token, field="page_token") not in ids:
-                raise InvalidInput(
-                    "`page_token` must be the `next_page_token` of an earlier reply; this one is unknown.",
-                    field="page_token",
-                    hint="Leave it out to start from the first page.",
-                )
-            start = ids.index(page_token) + 1
-        ends = accumulate(sizes[job_id] for job_id in ids[start : start + size])
-        end = start + max(1, sum(total <= _PAGE_BYTES for total in ends))
-        return ids[start:end], ids[end - 1] if end < len(ids) else ""
+            last = _place(page_token)
+            sizes = {place: each for place, each in sizes.items() if place < last}
+        places = list(sizes)
+        ends = accumulate(sizes[place] for place in places[:size])
+        end = max(1, sum(total <= _PAGE_BYTES for total in ends))
+        token = "{}-{}".format(*places[end - 1]) if end < len(places) else ""
+        return [job_id for _, job_id in places[:end]], token
 
     def unfinished(self) -> list[str]:
         """Returns the ids of the jobs that have not ended, oldest first, without those that cannot be read."""
-        return [job_id for job_id in reversed(self._newest_first()) if self._is_unfinished(job_id)]
+        return [job_id for _, job_id in reversed(self._newest_first()) if self._is_unfinished(job_id)]
 
     def record(self, job_id: str, state: JobState, **changes: Any) -> None:
         """Appends an event durably, unless nothing changes. An ended job changes only to `queued`.
@@ -271,7 +270,8 @@ class JobStore:
         most = _bounded(request.max_rows, default=_ROWS, most=_MAX_ROWS, field="max_rows")
         self.check(request.id)
         path = self.folder(request.id) / "metrics.jsonl"
-        return read_metrics(path, from_step=request.from_step, max_rows=most, keep_extremes=request.keep_extremes)
+        with self._deleted_is_not_found():
+            return read_metrics(path, from_step=request.from_step, max_rows=most, keep_extremes=request.keep_extremes)
 
     def set_model(self, job_id: str, model: ModelRef) -> None:
         """Records durably the model that a job has made."""
@@ -350,18 +350,31 @@ class JobStore:
         except FileNotFoundError:
             raise self._not_found() from None
 
-    def _newest_first(self) -> dict[str, int]:
-        """Returns the sizes in bytes of the configurations of all jobs, by id."""
-        found = []
+    def _newest_first(self) -> dict[tuple[int, str], int]:
+        """Returns the sizes in bytes of the configurations of all jobs, by their times in nanoseconds and ids."""
+        found = {}
         for path in self._root.glob("[0-9a-f]" * 32 + "/config.json"):
             with suppress(FileNotFoundError):  # deleted meanwhile
-                found.append((path.stat().st_mtime_ns, path.parent.name, path.stat().st_size))
-        return {job_id: size for _, job_id, size in sorted(found, reverse=True)}
+                stat = path.stat()
+                found[stat.st_mtime_ns, path.parent.name] = stat.st_size
+        return dict(sorted(found.items(), reverse=True))
 
 
 def id_of(idempotency_key: str) -> str:
     """Returns the id of the job that is started with an idempotency key."""
     return uuid.uuid5(_KEYS, idempotency_key).hex
+
+
+def _place(page_token: str) -> tuple[int, str]:
+    """Returns the time in nanoseconds and the id of the last job of a page."""
+    found = re.fullmatch("([0-9]{1,19})-([0-9a-f]{32})", page_token)
+    if found is None:
+        raise InvalidInput(
+            "`page_token` must be the `next_page_token` of an earlier reply; this one is unknown.",
+            field="page_token",
+            hint="Leave it out to start from the first page.",
+        )
+    return int(found[1]), found[2]
 
 
 def _event(document: Mapping[str, Any]) -> JobEvent:

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -62,6 +62,7 @@ class FitService:
         self._resolve = resolve
         self._health = health
         self._threads = ThreadPoolExecutor(_THREADS, "fits")  # not the default one, which decodes requests
+        self._changes = ThreadPoolExecutor(_THREADS, "fit-changes")  # of calls that wait for a child to end
         self._stopping: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
@@ -74,7 +75,8 @@ class FitService:
         """Waits, on drain, until the child has saved and ended; the next start resumes its fit."""
         if self._stopping is not None:
             await self._stopping
-        self._threads.shutdown(wait=False, cancel_futures=True)
+        for threads in (self._threads, self._changes):
+            threads.shutdown(wait=False, cancel_futures=True)
 
     async def start_fit(self, request: learning.StartFitRequest) -> learning.StartFitResponse:
         """Queues a fit, or returns the one that this idempotency key has started already.
@@ -134,7 +136,7 @@ class FitService:
             self._queue.cancel(request.id)
             return self._fit(request.id)
 
-        return learning.CancelFitResponse(await self._in_thread(cancel))
+        return learning.CancelFitResponse(await self._in_thread(cancel, self._changes))
 
     async def resume_fit(self, request: learning.ResumeFitRequest) -> learning.ResumeFitResponse:
         """Queues a failed or cancelled fit again; it resumes from its last checkpoint.
@@ -150,7 +152,7 @@ class FitService:
             self._queue.resume(request.id)
             return self._fit(request.id)
 
-        return learning.ResumeFitResponse(await self._in_thread(resume))
+        return learning.ResumeFitResponse(await self._in_thread(resume, self._changes))
 
     async def delete_fit(self, request: learning.DeleteFitRequest) -> learning.DeleteFitResponse:
         """Deletes a fit that has ended; the model that it made stays.
@@ -160,7 +162,7 @@ class FitService:
             FailedPrecondition: The fit has not ended.
             Overloaded: Its child has not ended yet.
         """
-        await self._in_thread(lambda: self._queue.delete(request.id))
+        await self._in_thread(lambda: self._queue.delete(request.id), self._changes)
         return learning.DeleteFitResponse()
 
     def _start(self, request: learning.StartFitRequest) -> learning.Fit:
@@ -192,5 +194,5 @@ class FitService:
         await self._health.wait_for_drain()
         await asyncio.to_thread(self._queue.close)
 
-    def _in_thread(self, call: Callable[[], T]) -> "asyncio.Future[T]":
-        return asyncio.get_running_loop().run_in_executor(self._threads, call)
+    def _in_thread(self, call: Callable[[], T], threads: Executor | None = None) -> "asyncio.Future[T]":
+        return asyncio.get_running_loop().run_in_executor(threads or self._threads, call)
