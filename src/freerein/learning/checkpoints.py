@@ -21,7 +21,7 @@ from typing import TypeAlias
 from torch import Tensor
 
 from freerein.atomic_files import TEMP_SUFFIX, fsync_folder, write_atomic
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, OutOfStorage
 from freerein.learning import tensor_files
 
 KEPT = 3
@@ -29,6 +29,7 @@ JSON: TypeAlias = bool | int | float | str | list["JSON"] | dict[str, "JSON"] | 
 
 _TENSORS, _DOCUMENT, _MANIFEST = "state.safetensors", "state.json", "manifest.json"
 _MAX_JSON_BYTES = 1 << 20
+_MAX_FAILURES = 3
 _NAME = re.compile(r"step-(\d{9})")
 
 
@@ -63,6 +64,35 @@ def save(folder: Path, checkpoint: Checkpoint) -> None:
     later = sum(step > checkpoint.step for step, _ in found)
     for _, path in found[:later] + found[later + KEPT :]:
         shutil.rmtree(path)
+
+
+class Saver:
+    """Saves the checkpoints of one training in a folder; a full disk ends it after three failures in a row."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._failures = 0
+
+    def save(self, make: Callable[[], Checkpoint], on_failure: Callable[[str], None]) -> bool:
+        """Saves what `make` returns; returns whether it is on the disk. OSErrors of `make` count, too.
+
+        `on_failure` is called with the reason where it is not.
+
+        Raises OutOfStorage for the third failure in a row.
+        """
+        try:
+            save(self._folder, make())
+        except OSError as error:
+            self._failures += 1
+            on_failure(error.strerror or "The disk failed")
+            if self._failures >= _MAX_FAILURES:
+                raise OutOfStorage(
+                    f"Checkpoints must be writable; {_MAX_FAILURES} in a row could not be written.",
+                    hint="Free disk space, then resume: the training continues from its last checkpoint.",
+                ) from error
+            return False
+        self._failures = 0
+        return True
 
 
 def newest(folder: Path, *, on_corrupt: Callable[[int, str], None]) -> Checkpoint | None:

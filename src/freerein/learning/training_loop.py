@@ -23,12 +23,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from freerein.errors import FailedPrecondition, OutOfStorage
+from freerein.errors import FailedPrecondition
 from freerein.jobs.child import stop_on_sigterm
 from freerein.jobs.event_files import EventFile
 from freerein.jobs.metrics import MetricsWriter
 from freerein.learning import checkpoints
-from freerein.learning.checkpoints import JSON
+from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein.learning.encoders import CameraEncoders
 from freerein.learning.fit_config import FitConfig
 from freerein.learning.learner import Learner, stage_at
@@ -41,8 +41,6 @@ from freerein.learning.train_state import (
     from_checkpoint,
     to_checkpoint,
 )
-
-_MAX_SAVE_FAILURES = 3
 
 
 class TrainingFailed(FailedPrecondition):
@@ -230,7 +228,7 @@ class _Checkpointer:
         self._identity = identity
         self._on_event = on_event
         self._saved_step = -1
-        self._failures = 0
+        self._saver = checkpoints.Saver(folder)
 
     def resume(self, fresh: FitLoopState[N], *, defaults: Mapping[str, JSON]) -> FitLoopState[N]:
         """Returns the state of the newest intact checkpoint, or `fresh` without one; see `from_checkpoint`."""
@@ -247,19 +245,14 @@ class _Checkpointer:
     def save(self, progress: FitLoopState[N], rows: MetricsWriter) -> None:
         """Saves a checkpoint unless this step has one; ends the fit when several in a row cannot be written."""
         step = progress.state.step
-        if step == self._saved_step:
-            return
-        try:
+
+        def make() -> Checkpoint:
             rows.sync()  # a power cut leaves no checkpoint without its rows, which would not be written again
-            checkpoints.save(self._folder, to_checkpoint(progress, self._identity))
-        except OSError as error:
-            self._failures += 1
-            self._on_event(FitEvent("checkpoint_failed", step, error.strerror or "The disk failed."))
-            if self._failures >= _MAX_SAVE_FAILURES:
-                raise OutOfStorage(
-                    f"Checkpoints must be writable; {_MAX_SAVE_FAILURES} in a row could not be written.",
-                    hint="Free disk space, then resume the fit: it continues from its last checkpoint.",
-                ) from error
-            return
-        self._saved_step, self._failures = step, 0
-        self._on_event(FitEvent("checkpoint_saved", step))
+            return to_checkpoint(progress, self._identity)
+
+        def tell(why: str) -> None:
+            self._on_event(FitEvent("checkpoint_failed", step, why))
+
+        if step != self._saved_step and self._saver.save(make, tell):
+            self._saved_step = step
+            self._on_event(FitEvent("checkpoint_saved", step))

@@ -7,12 +7,13 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 import torch
 
-from freerein.errors import FailedPrecondition, OutOfStorage
+from freerein.errors import FailedPrecondition
 from freerein.learning import checkpoints
 from freerein.learning.checkpoints import Checkpoint
 from freerein_orchestrator.rl import ppo
@@ -101,9 +102,9 @@ class Trainer:
                     ) from error
 
     def _run(self, state: PPOState, rejected: int) -> PPOState:
-        saver = _Saver(self.folder / "checkpoints", self.log_line)
+        saver = checkpoints.Saver(self.folder / "checkpoints")
         if state.iteration == 0:
-            saver.save(state)
+            saver.save(partial(to_checkpoint, state), partial(self._tell_unsaved, state.iteration))
         log = self.metrics_log(self._step(state))
         with closing(self.collector(state)) as collector:
             while not self._is_done(state):
@@ -121,9 +122,12 @@ class Trainer:
                 log.append(self._step(state), row)  # before the trajectories: a recorded one has its row
                 if self.recorder is not None:
                     self.recorder.record(rollout, state.recorded - self.recorder.count(rollout))
-                saver.save(state)
+                saver.save(partial(to_checkpoint, state), partial(self._tell_unsaved, state.iteration))
                 rejected = 0
         return state
+
+    def _tell_unsaved(self, iteration: int, why: str) -> None:
+        self.log_line(f"Iteration {iteration} could not be saved: {why}")
 
     def _iterate(self, state: PPOState, collector: Collector) -> tuple[PPOState, RolloutBuffer]:
         """One iteration of PPO: collect, reward, update the policy, update what rewards it."""
@@ -169,25 +173,3 @@ class Trainer:
             on_corrupt=lambda step, detail: self.log_line(f"Checkpoint {step} is skipped: {detail}"),
         )
         return None if found is None else self.load(found)
-
-
-class _Saver:
-    """Saves checkpoints; a full disk ends the training only after three failures in a row."""
-
-    def __init__(self, folder: Path, log_line: Callable[[str], None]) -> None:
-        self._folder = folder
-        self._log_line = log_line
-        self._failures = 0
-
-    def save(self, state: PPOState) -> None:
-        try:
-            checkpoints.save(self._folder, to_checkpoint(state))
-            self._failures = 0
-        except OSError as error:
-            self._failures += 1
-            self._log_line(f"Iteration {state.iteration} could not be saved: {error.strerror}")
-            if self._failures == _MAX_FAILURES:
-                raise OutOfStorage(
-                    f"Checkpoints must be saved; {_MAX_FAILURES} in a row could not be.",
-                    hint="Free disk space, then resume the run: it continues from its last checkpoint.",
-                ) from error
