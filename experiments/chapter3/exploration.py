@@ -159,7 +159,7 @@ class Exploration:
     def is_reduced(self, row: str) -> bool:
         """Returns whether a row has fewer updates than others."""
         steps: int = self.rows.get(row, {}).get("steps", self.fit["steps"])
-        return steps < self.fit["steps"]
+        return bool(steps < self.fit["steps"])
 
     def recognizer_step(self, **config: Any) -> Step:
         """Returns the step that fits the goal recognizer of all rows."""

@@ -18,6 +18,7 @@ from experiments.chapter3.exploration import (
     POLICY,
     RATE_OPTION,
     RECOGNIZER,
+    TRUE_SWITCHING,
     Exploration,
 )
 from experiments.workbench.pipelines import Step, run_folder
@@ -51,7 +52,8 @@ def figures(made: Path, fit: Step) -> Iterator[tuple[str, float]]:
     store = ModelStore(made / "data" / "models" / config["service"])
     card = read_card(store.folder(ModelRef(name, store.active_version(name))))
     yield from ((f"{name}.{figure}", card["figures"][figure]) for figure in _NAMED if figure in card["figures"])
-    if early := [loss for step, loss in _validated(made, name) if 2 * step <= config["config"]["steps"]]:
+    early = [loss for step, loss in _validated(made, fit) if 2 * step <= config["config"]["steps"]]
+    if early:
         yield f"{name}.{HALFWAY}", min(early)
     if not config["config"].get("stop"):  # whose held-out loss is of stopping, too
         yield f"{name}.{CONSTANT}", math.log(2) if name == RECOGNIZER else _constant_loss(made, config)
@@ -87,7 +89,7 @@ def _fitted(results: Sequence[ArmResult]) -> Iterator[tuple[str, ...]]:
     """Yields the cells of each policy, once, and of the recognizer that all share."""
     cells = {}
     for each in results:
-        for model in (POLICY, RECOGNIZER) if each.method != PILOT else ():
+        for model in (POLICY, RECOGNIZER) if each.method not in (PILOT, TRUE_SWITCHING) else ():
             if f"{model}.{LOSS}" in each.figures:
                 row = (each.method, each.options[DATA_OPTION], str(each.seed)) if model == POLICY else ("all", "", "")
                 cells[(*row, model)] = _cells(model, each.figures)
@@ -107,11 +109,11 @@ def _pilot_loss(result: ArmResult) -> float:
     return result.figures[f"{RECOGNIZER if result.options[FIT_OPTION] == RECOGNIZER else POLICY}.{LOSS}"]
 
 
-def _validated(made: Path, name: str) -> Iterator[tuple[int, float]]:
-    """Yields the updates at which a fit was evaluated, and its held-out loss there, as far as its run noted them."""
-    path = run_folder(made) / "parts" / name / "metrics.jsonl"
-    for line in path.read_bytes().splitlines() if path.is_file() else ():
-        row = json.loads(line)
+def _validated(made: Path, fit: Step) -> Iterator[tuple[int, float]]:
+    """Yields the updates at which a fit was evaluated, and its held-out loss there."""
+    started = run_folder(made) / "parts" / fit["name"] / "fit.json"
+    path = made / "data" / "fits" / fit["config"]["service"] / json.loads(started.read_bytes())["id"] / "metrics.jsonl"
+    for row in map(json.loads, path.read_bytes().splitlines()):
         if LOSS in row:
             yield row["step"], row[LOSS]
 

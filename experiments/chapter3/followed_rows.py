@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.chapter3 import reach, resampled
+from experiments.chapter3 import knots, reach, resampled
 from experiments.chapter3.exploration import CEILINGS, DATA_OPTION, EXPLORING, PILOT, Exploration, is_fitted
 from experiments.chapter3.followed import ACTING, GREEDY, chosen_acting
 from experiments.workbench.claims import Scale
@@ -157,19 +157,25 @@ def _by_landmark(rows: Sequence[Row], figure: str) -> Iterator[tuple[str, ...]]:
 
 
 def reached(results: Sequence[ArmResult]) -> Iterator[Section]:
-    """Yields how much was explored, and how far explorations get, where that is known."""
+    """Yields how much was explored, how far explorations get, and knots among them, where that is known."""
+    counted = (reach.EXPLORED, reach.LEARNED, knots.DISPLACEMENTS, knots.KNOTS)
     moved = [f"moved.{actions}.{quantile}" for actions in reach.ACTIONS for quantile in reach.QUANTILES]
     explored = [each for each in results if each.method == EXPLORING]
-    known = [name for name in (reach.EXPLORED, reach.LEARNED, *moved) if any(name in each.figures for each in explored)]
+    known = [name for name in (*counted, *moved) if any(name in each.figures for each in explored)]
     if explored:
         header = ("data", *(_TITLES.get(name) or "{1} actions, {2}".format(*name.split(".")) for name in known))
         cells = [
             (each.options[DATA_OPTION], *(_number(name, each.figures.get(name)) for name in known)) for each in explored
         ]
-        yield Section(header, tuple(cells), "How far exploration gets")
+        yield Section(header, tuple(cells), "Exploration")
 
 
-_TITLES = {reach.EXPLORED: "actions", reach.LEARNED: "learned from before"}
+_TITLES = {
+    reach.EXPLORED: "actions",
+    reach.LEARNED: "learned from before",
+    knots.DISPLACEMENTS: "made again",
+    knots.KNOTS: "knots",
+}
 
 
 def _number(name: str, value: float | None) -> str:

@@ -30,7 +30,10 @@ EXPLORED, LEARNED = "explored", "learned"
 """Names of the numbers of actions in the data with an image before and after, and of those, not among them, that the
 policies which made the data had learned from."""
 
-_EPISODES, _SEED = 64, 2_000_003
+_ROUNDS, _NUM_ENVS, _SEED = 4, 16, 2_000_003
+"""Rounds of episodes, and episodes at a time: 64 engines of `doom` at once may take longer to begin than a call waits.
+"""
+
 _READY_TIMEOUT_S = 300.0
 
 
@@ -100,16 +103,19 @@ def _moved(places: npt.NDArray[np.float64], actions: int) -> npt.NDArray[np.floa
 def _explored(sim: SyncClient, task: str, part: Mapping[str, Any], made: Path) -> Sequence[Episode]:
     name = part.get("task") or task
     policy = _policy(sim, name, part, made)
-    session = CreateSessionRequest(
-        name,
-        num_envs=_EPISODES,
-        seed=_SEED,
-        height=policy.height,
-        width=policy.width,
-        privileged=True,
-        conditions=tuple(part.get("conditions", ())),
+    rounds = (
+        CreateSessionRequest(
+            name,
+            num_envs=_NUM_ENVS,
+            seed=_SEED + number,
+            height=policy.height,
+            width=policy.width,
+            privileged=True,
+            conditions=tuple(part.get("conditions", ())),
+        )
+        for number in range(_ROUNDS)
     )
-    return run_episodes(sim, session, policy, lambda: None)
+    return [episode for session in rounds for episode in run_episodes(sim, session, policy, lambda: None)]
 
 
 def _policy(sim: SyncClient, task: str, part: Mapping[str, Any], made: Path) -> PolicyHandle:

@@ -1,5 +1,7 @@
 """The rows of chapter 3: the pipelines that make them, and fits of their configurations on tiny datasets."""
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,38 +9,49 @@ import PIL.Image
 import pytest
 import torch
 from experiments import doom, office, rope
-from experiments.chapter3 import reach, resampled, sift
+from experiments.chapter3 import fits, knots, reach, resampled, sift
 from experiments.chapter3.exploration import (
     CHOICE,
     DATA_OPTION,
     EXPERT,
     EXPLORING,
+    FIT_OPTION,
+    PILOT,
     RANDOM_SEARCH,
+    SETTINGS_OPTION,
     SIFT,
+    TRUE_SWITCHING,
+    Choice,
     Exploration,
     Setting,
     is_fitted,
 )
 from experiments.chapter3.followed import samples
-from experiments.chapter3.followers import publish_sampled
-from experiments.workbench.results import Sample
+from experiments.chapter3.followers import Followers, publish_sampled
+from experiments.workbench.arms import is_current
+from experiments.workbench.pipelines import fit_step, run_folder
+from experiments.workbench.results import Sample, load_all
 
 from freerein.config import parse
-from freerein.data import DatasetSpec, create, dataset_path, integer_fps
+from freerein.data import Dataset, DatasetSpec, create, dataset_path, integer_fps
+from freerein.errors import FailedPrecondition
 from freerein.learning import weights
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.model_files import MODEL, read_card, save_model
 from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef, Trajectory
+from freerein.types.sim import DemonstrateRequest
 from freerein_imitation.methods import METHODS
 from freerein_imitation.methods.shared.goal_images.recognizer import GoalRecognizerNetwork, GoalRecognizerSpec
 from freerein_imitation.model.policy import ControlSpec
 from freerein_orchestrator.kinds import KINDS
+from freerein_sim.workers.demonstrations import make_demonstration
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.world import WorldSpec
 
 TINY = {"steps": 3, "batch_size": 2, "features": 8, "hidden_size": 8}
 WORLDS = {each.EXPLORATION.world: each.EXPLORATION for each in (doom, office, rope)}
+EXPERIMENTS = {each.EXPLORATION.world: each.EXPERIMENT for each in (doom, office, rope)}
 each_world = pytest.mark.parametrize("exploration", WORLDS.values(), ids=WORLDS)
 
 
@@ -79,13 +92,16 @@ def _publish_recognizer(root: Path, name: str, spec: WorldSpec) -> None:
 
 @each_world
 def test_the_orchestrator_takes_all_pipelines_and_evaluations_have_seeds_of_their_own(exploration: Exploration) -> None:
-    KINDS["pipeline"].parse({"steps": list(exploration.shared)})
+    KINDS["pipeline"].parse({"steps": list(exploration.collects)})
+    KINDS["pipeline"].parse({"steps": [exploration.recognizer_step()]})
     for arm in (arm for arm in exploration.arms if arm.method != EXPLORING):
-        steps = [*([exploration.fit_step(arm)] if is_fitted(arm.method) else []), *exploration.steps(arm)]
+        fitted = [exploration.fit_step(arm)] if is_fitted(arm.method) else []
+        tried = exploration.pilot_steps(arm) if arm.method == PILOT else []
+        steps = [*fitted, *tried, *exploration.steps(arm)]
         KINDS["pipeline"].parse({"steps": steps})
         assert arm.seed not in {each["config"]["seed"] for each in steps if each["kind"] == "evaluate"}
     unfitted = {arm.method for arm in exploration.arms if not is_fitted(arm.method)}
-    assert unfitted - {EXPLORING, SIFT} == {EXPERT, RANDOM_SEARCH}
+    assert unfitted - {EXPLORING, PILOT, SIFT} == {EXPERT, RANDOM_SEARCH}
     assert all(exploration.collected(data)["dataset"] == data for data in exploration.seeds)
 
 
@@ -98,10 +114,105 @@ def test_a_setting_has_as_many_demonstrations_as_its_evaluations_show(exploratio
 
 
 @each_world
-def test_what_is_claimed_is_evaluated(exploration: Exploration) -> None:
-    name, figure = exploration.chooses
-    assert name in exploration.settings[CHOICE]
-    assert figure in exploration.figures
+def test_what_is_claimed_is_evaluated_and_chosen_by_a_setting_that_chooses(exploration: Exploration) -> None:
+    for setting in exploration.all_settings.values():
+        assert setting.choice.setting in exploration.settings[CHOICE]
+        assert setting.choice.figure in exploration.figures
+    for measured in EXPERIMENTS[exploration.world].report.measured:
+        assert measured.figure in exploration.figures
+        assert exploration.all_settings[measured.setting].choice.statistic == measured.statistic
+
+
+def test_every_demonstration_of_a_rope_is_followed_from_ropes_of_its_own() -> None:
+    shown = [each for setting in rope.EXPLORATION.all_settings.values() for each in setting.evaluations]
+    assert len({each["seed"] for each in shown}) == len(shown)
+
+
+@each_world
+def test_true_switching_comes_after_the_fits_of_seed_0_one_of_which_it_shares(exploration: Exploration) -> None:
+    for kind in exploration.settings:
+        followers = [arm for arm in exploration.arms if arm.options.get(SETTINGS_OPTION) == kind]
+        methods = [arm.method for arm in followers]
+        (at,) = (number for number, method in enumerate(methods) if method == TRUE_SWITCHING)
+        assert all(arm.seed == 0 for arm in followers[:at])
+        assert exploration.claimed[0] in methods[:at]
+        assert all(arm.seed > 0 for arm in followers[at + 1 :])
+
+
+@each_world
+def test_learning_rates_are_those_that_the_pilot_chose(exploration: Exploration) -> None:
+    experiment = EXPERIMENTS[exploration.world]
+    current = {arm.name: arm for arm in exploration.arms}
+    stored = [each for each in load_all(Path("experiments/results") / exploration.world) if each.method == PILOT]
+    tried = [each for each in stored if each.name in current and is_current(experiment, current[each.name], each)]
+    for fit, rate in exploration.lr.items():
+        if sum(each.options[FIT_OPTION] == fit for each in tried) == len(exploration.rates):
+            assert rate == fits.best_rate(tried, fit)
+            assert min(exploration.rates) < rate < max(exploration.rates)
+
+
+@each_world
+def test_a_chosen_learning_rate_is_that_of_fits_and_changes_neither_pilot_nor_data(exploration: Exploration) -> None:
+    other = replace(exploration, lr=dict.fromkeys(exploration.lr, 0.123))
+    before, after = (Followers(each, EXPERIMENTS[exploration.world].report) for each in (exploration, other))
+    for arm in exploration.arms:
+        assert (before.config(arm) == after.config(arm)) == (not is_fitted(arm.method))
+    fitted = next(arm for arm in exploration.arms if is_fitted(arm.method))
+    assert other.fit_step(fitted)["config"]["config"]["lr"] == 0.123
+    assert other.recognizer_step()["config"]["config"]["lr"] == 0.123
+
+
+def test_a_fit_has_its_losses_beside_that_of_a_constant_guess_the_entropy_of_the_actions(
+    tmp_path: Path, data_dir: Path
+) -> None:
+    dataset = data_dir / "datasets"
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "datasets").symlink_to(dataset)
+    publish_card(tmp_path, {"validation_loss": 1.5, "best_step": 40})
+    write_metrics(tmp_path, {10: 2.5, 20: 1.75, 30: 1.5})
+    step = fit_step("policy", "imitation", "doom-curiosity", steps=50)
+    found = dict(fits.figures(tmp_path, step))
+    source = Dataset(dataset_path(data_dir, "doom-curiosity"))
+    _, counts = np.unique(np.concatenate([source.actions(index) for index in range(len(source))]), return_counts=True)
+    shares = counts / counts.sum()
+    assert found == {
+        "policy.validation_loss": 1.5,
+        "policy.best_step": 40,
+        "policy.validation_loss_halfway": 1.75,
+        "policy.constant_loss": pytest.approx(-(shares * np.log(shares)).sum(), abs=1e-5),
+    }
+
+
+def publish_card(folder: Path, figures: dict[str, float]) -> None:
+    """Publishes a policy without weights in the folder of a pipeline."""
+    made, store = folder / "made", ModelStore(folder / "data" / "models" / "imitation")
+    made.mkdir()
+    (made / MODEL.card).write_text(json.dumps({"figures": figures}))
+    (made / MODEL.weights).write_bytes(b"weights")
+    store.activate(store.publish("policy", made))
+
+
+def write_metrics(folder: Path, losses: dict[int, float]) -> None:
+    """Writes held-out losses by update as those of the fit that the folder's pipeline ran, and a row of training."""
+    started, fit = run_folder(folder) / "parts" / "policy", folder / "data" / "fits" / "imitation" / "made"
+    for each in (started, fit):
+        each.mkdir(parents=True)
+    (started / "fit.json").write_text(json.dumps({"id": "made"}))
+    rows = [{"step": 5, "train_loss": 3.0}, *({"step": step, "validation_loss": loss} for step, loss in losses.items())]
+    (fit / "metrics.jsonl").write_text("".join(f"{json.dumps(row)}\n" for row in rows))
+
+
+def test_collected_displacements_are_made_again_and_their_knots_counted(tmp_path: Path) -> None:
+    request = DemonstrateRequest("rope", "random", count=1, seed=3, height=16, width=16)
+    made = make_demonstration(tasks()["rope"], tasks()["rope"].make(), request).trajectory
+    recorded = replace(made, frames={"above": made.frames["above"][:2]}, actions=made.actions[:2], terminated=None)
+    described = DatasetSpec(1.0, {"above": (16, 16, 3)}, tasks()["rope"].spec.action, "rope", control_dt_s=1.0)
+    with create(tmp_path / "kept", described) as writer:
+        writer.append(recorded)
+    found = knots.count({"task": "rope", "seed": 3}, Dataset(tmp_path / "kept"))
+    assert found == {knots.DISPLACEMENTS: 2, knots.KNOTS: 0}
+    with pytest.raises(FailedPrecondition, match="its actions are others"):
+        knots.count({"task": "rope", "seed": 4}, Dataset(tmp_path / "kept"))
 
 
 def test_an_interval_is_over_demonstrations_not_only_over_their_starts() -> None:
@@ -168,13 +279,16 @@ def test_sift_turns_to_where_the_goal_is_and_drives_where_it_is_larger(tmp_path:
 
 
 def test_trials_of_several_evaluations_are_taken_in_turn() -> None:
-    setting = Setting(({"demonstration_seed": 1}, {"demonstration_seed": 2}), demonstrations=2)
+    choice = Choice("knot", "success")
+    setting = Setting(({"demonstration_seed": 1}, {"demonstration_seed": 2}), demonstrations=2, choice=choice)
     assert setting.names("knot") == ["knot_0", "knot_1"]
     trials = {"knot_0": [{"success": True, "cost": [1, 3]}] * 2, "knot_1": [{"success": False, "cost": [5, 7]}] * 2}
     found = dict(samples({"greedy": trials}, {"knot": setting}, ("success", "cost", "stopped")))
     assert found == {
         "greedy.knot.success": Sample([True, False] * 2, [1] * 4),
         "greedy.knot.cost": Sample([4, 12] * 2, [2] * 4),
+        "greedy.knot.cost.0": Sample([1, 5] * 2, [1] * 4),
+        "greedy.knot.cost.1": Sample([3, 7] * 2, [1] * 4),
     }
     costs = resampled.by_demonstration([found["greedy.knot.cost"]], demonstrations=2)
     np.testing.assert_array_equal(costs, [[[2, 2], [6, 6]]])

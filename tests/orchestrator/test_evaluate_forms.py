@@ -473,6 +473,19 @@ def test_demonstrations_are_followed_by_their_goal_images(evaluation: Callable[.
     assert "ended" in result["figures"]
 
 
+@pytest.mark.e2e
+def test_a_round_ends_once_the_policy_has_gone_on_from_all_landmarks(evaluation: Callable[..., Any]) -> None:
+    followed = DEMONSTRATIONS | {"policy": {"model": "default"}, "switching": "steps", "steps_per_landmark": 1}
+    run = evaluation(followed | {"paths": ["move-red"], "every": 20, "episodes": 2, "num_envs": 2})
+    assert run.do()
+    (path,) = run.artifact("result.json")["paths"]
+    (line,) = (run.folder / "checkpoints" / "rounds.jsonl").read_bytes().splitlines()
+    for trial in json.loads(line)["trials"]:
+        assert trial["steps"] == path["landmarks"] + 1 < path["steps"]
+        assert trial["ended"]
+        assert len(trial["confidence"]) == trial["steps"]
+
+
 @pytest.mark.long  # a walk of hundreds of steps in the engine
 @needs_engine
 @pytest.mark.e2e

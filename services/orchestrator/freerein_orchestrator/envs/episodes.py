@@ -75,7 +75,7 @@ def run_episodes(
     cameras: Sequence[str] = (),
     max_steps: int = 0,
     tell: Callable[[npt.NDArray[np.float64]], None] = lambda _states: None,
-    end_with_goals: bool = False,
+    last_goals: Sequence[int] = (),
 ) -> tuple[Episode, ...]:
     """Returns one episode per environment of a new session; the same for the same seed and policy.
 
@@ -89,8 +89,8 @@ def run_episodes(
         cameras: Cameras to record, whether the policy sees them or not. None by default: each frame is kept in memory.
         max_steps: Steps after which episodes are cut off; 0 for whole episodes.
         tell: Called before each action with the environments' true states, float64 (N, S), of a privileged session.
-        end_with_goals: Whether the run ends after the first step at which the policy's goals are over in all of them:
-            for goals of one part each.
+        last_goals: By environment, how many goals the policy has there: the run ends after the first step at which they,
+            or the episode, are over in all environments. Empty to go on.
 
     Raises:
         ServiceError: The service or the policy failed; the episodes can be run again.
@@ -112,7 +112,11 @@ def run_episodes(
             steps.append(_Step(frames, output, reply).recorded(cameras))
             frames, starts, truth = reply.frames, reply.terminated | reply.truncated, reply.truth
             lengths[starts & (lengths == 0)] = len(steps)
-            if end_with_goals and output.goal_index is not None and output.goal_index.all():
+            if (
+                last_goals
+                and output.goal_index is not None
+                and ((output.goal_index >= last_goals) | (lengths > 0)).all()
+            ):
                 break
     lengths[lengths == 0] = len(steps)
     return tuple(_episode(first.truth, steps[:length], env) for env, length in enumerate(lengths))

@@ -80,7 +80,7 @@ def demonstrate(
         goals=[Goal(recipe=(path,))],
         recipes=[Recipe((path,))],
         cameras=cameras,
-        end_with_goals=True,
+        last_goals=[1],
     )
     over = np.zeros(0, np.int64) if walked.goal_index is None else np.flatnonzero(walked.goal_index)
     if not len(over) or not over[0]:

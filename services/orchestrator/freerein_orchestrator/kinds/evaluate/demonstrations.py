@@ -4,6 +4,8 @@ A path is a skill of the task. Its demonstration is the same in all trials; epis
 task's conditions say, such as in any direction. Landmarks count by true states, in order: the task's predicate
 `at-landmark` judges them, and others named `at-landmark/WHAT` beside it. Measures of the task, if any, compare the
 state in which the policy went on from each landmark with that of the landmark.
+
+Trials are run in rounds, and a round ends once the policy has gone on from the last landmark in all of its trials.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -129,11 +131,12 @@ class DemonstrationsEvaluation:
     def _follow(self, run: Callable[..., Sequence[Episode]], shown: Sequence[Demonstration]) -> Sequence[Episode]:
         """Returns the policy's episodes."""
         if self._setup.config.policy == "expert":
-            return run(self._policy, goals=[Goal(recipe=(each.path,)) for each in shown])
+            return run(self._policy, goals=[Goal(recipe=(each.path,)) for each in shown], last_goals=[1] * len(shown))
         landmarks = [each.landmarks for each in shown]
+        counts = [len(each) for each in landmarks]
         if self._setup.config.switching == "policy":
             goals = [Goal(tuple(chain.from_iterable(goal.images for goal in each))) for each in landmarks]
-            return run(self._policy, goals=goals)
+            return run(self._policy, goals=goals, last_goals=counts)
 
         with truth_session(self._setup.sim, self._setup.task.name) as truth:
 
@@ -143,7 +146,8 @@ class DemonstrationsEvaluation:
 
             judge = is_at if self._setup.config.switching == "truth" else None
             switching = Switching(landmarks, judge, max_steps=self._policy.max_steps_per_goal)
-            return run(switching.switch(self._policy), goals=switching.goals, tell=switching.tell)
+            policy = switching.switch(self._policy)
+            return run(policy, goals=switching.goals, tell=switching.tell, last_goals=counts)
 
     def _outcomes(
         self, truth: TruthSession, episodes: Sequence[Episode], shown: Sequence[Demonstration]
