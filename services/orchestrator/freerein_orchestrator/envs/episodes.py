@@ -89,8 +89,8 @@ def run_episodes(
         cameras: Cameras to record, whether the policy sees them or not. None by default: each frame is kept in memory.
         max_steps: Steps after which episodes are cut off; 0 for whole episodes.
         tell: Called before each action with the environments' true states, float64 (N, S), of a privileged session.
-        last_goals: By environment, how many goals the policy has there: the run ends after the first step at which they,
-            or the episode, are over in all environments. Empty to go on.
+        last_goals: By environment, how many goals the policy has there: the run ends after the first step at which
+            these, or the episode, are over in all environments. Empty to go on.
 
     Raises:
         ServiceError: The service or the policy failed; the episodes can be run again.
