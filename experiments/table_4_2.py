@@ -14,7 +14,6 @@ from experiments.chapter4.students import (
     DATASET,
     DISSERTATION,
     DONE,
-    EPISODES_OF_SCENE,
     EYE,
     IN_SCENES,
     OURS,
@@ -42,10 +41,7 @@ from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.data import dataset_path
 
-_WORLD, _SEEDS = "blocks", 3
-_VERSION, _VERSION_OF_RANDOM = 2, 1
-"""Students of version 1 were distilled when DAgger's relabelling lacked the executed actions."""
-
+_WORLD, _SEEDS, _VERSION = "blocks", 3, 1
 _ROWS = ((OURS, "text"), (OURS, "code"), (OURS, "none"), (DISSERTATION, "text"))
 _TEXT, _TASKS = "conditioning", "tasks"
 _STUDENTS = {IN_SCENES: OURS, DONE: OURS, EYE: OURS, RENAMED: DISSERTATION}
@@ -69,13 +65,13 @@ class OnePolicy(Experiment):
 
     def config(self, arm: Arm) -> Config:
         """Returns the teachers of a student, and the steps of the arm's pipeline; the scenes where it has some."""
-        version, teachers = (_VERSION_OF_RANDOM, ()) if arm.method == RANDOM else (_VERSION, shipped_teachers())
+        teachers = () if arm.method == RANDOM else shipped_teachers()
         more: dict[str, object] = {}
         if arm.method == IN_SCENES:
-            more = {"scenes": list(SCENES), "episodes": EPISODES_OF_SCENE}
+            more = {"scenes": list(SCENES)}
         elif arm.method == EYE:
             more = {"eye": eye_config(arm.seed)}
-        return {"version": version, "teachers": list(teachers), "steps": list(_steps(arm)), **more}
+        return {"version": _VERSION, "teachers": list(teachers), "steps": list(_steps(arm)), **more}
 
     def run(
         self, arm: Arm, *, results: Path, work: Path, folder: Path, on_progress: Callable[[], None]

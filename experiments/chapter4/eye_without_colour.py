@@ -1,7 +1,8 @@
 """A student's rollouts with another eye: one that has never seen the colour of the test tasks.
 
-It is that of a reward model, fitted as the teachers' is, to images in which nothing has the colour. It has a place for
-the colour's phrase, which no image has taught. How the eye finds the gripper is not changed.
+It is that of a reward model that is fitted from scratch, by distillation of the grounding model's keypoints, to images
+in which nothing has the colour, and no hue is turned. All that it learns of that colour's phrase is that it is absent.
+How the eye finds the gripper is not changed.
 
 <folder>/data/datasets/rollouts/       the student's rollouts, as hard links
                                 eye/   the eye
@@ -10,7 +11,7 @@ the colour's phrase, which no image has taught. How the eye finds the gripper is
 import os
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import ClassVar
@@ -18,6 +19,7 @@ from typing import ClassVar
 import numpy as np
 
 from experiments.chapter4.students import DATASET
+from experiments.chapter4.tasks import TEST_COLOUR
 from experiments.chapter4.unseen_colour import blue_pixels
 from experiments.robustness import reward_model
 from experiments.robustness.draw import Drawn, Exploration
@@ -29,7 +31,7 @@ from freerein.learning.actor_critic.shared_object_encoder import FOLDER, load_ob
 from freerein_reward.methods.relation_captions.config import RewardConfig
 from freerein_reward.model import DualEncoderModel
 
-_PIECE = 100
+_PIECE, _DISTILLATION = 100, 10.0
 
 
 @dataclass(frozen=True)
@@ -53,12 +55,17 @@ class ColourlessExploration:
         return Drawn({"lengths": np.array([len(each) for each in kept]), "frames": np.concatenate(kept)}, {})
 
 
-_IMAGES = ColourlessExploration(count=reward_model.TRAINING.count, seed=3000)
+_IMAGES = ColourlessExploration(count=1000, seed=3000)
+"""As many as the reward model has that the teachers' eye is of."""
+
+
+_ABSENT = tuple(phrase for phrase in reward_model.PHRASES if TEST_COLOUR in phrase)
 
 
 def eye_config(seed: int) -> Config:
     """Returns everything that the eye depends on."""
-    return {"fit": _fit(seed), "training": _IMAGES, "grounding": reward_model.grounding_version()}
+    grounding = reward_model.grounding_version()
+    return {"fit": _fit(seed), "training": _IMAGES, "grounding": grounding, "absent": list(_ABSENT)}
 
 
 def with_eye(student: Path, folder: Path, work: Path, on_progress: Callable[[], None], *, seed: int) -> Path | None:
@@ -73,7 +80,7 @@ def with_eye(student: Path, folder: Path, work: Path, on_progress: Callable[[], 
     """
     rollouts, copied = (dataset_path(each / "data", DATASET) for each in (student, folder))
     if not copied.is_dir():
-        model = reward_model.fit_model(_fit(seed), work, on_progress, training=_IMAGES)
+        model = reward_model.fit_model(_fit(seed), work, on_progress, training=_IMAGES, absent=_ABSENT)
         if model is None:
             return None
         part = copied.with_name(f".{DATASET}.part")
@@ -88,9 +95,9 @@ def _save_eye(model: DualEncoderModel, original: Path, folder: Path) -> None:
     encoder, card = load_object_encoder(original)
     encoder.eye.load_objects(model.network.image.state_dict())
     folder.mkdir()
-    name = {"name": "without-colour", "version": reward_model.grounding_version()}
-    model_files.save_model(encoder, folder, card={"model": name, "camera": card["camera"]})
+    model_files.save_model(encoder, folder, card={"model": {"name": "without-colour"}, "camera": card["camera"]})
 
 
 def _fit(seed: int) -> RewardConfig:
-    return reward_model.fit_config(augmentation=1.0, seed=seed)
+    config = reward_model.fit_config(augmentation=0.0, seed=seed)
+    return replace(config, initial="scratch", distillation=_DISTILLATION)

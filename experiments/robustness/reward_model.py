@@ -1,6 +1,6 @@
 """Reward models of the scattered blocks: a fit to captions of random exploration, by the grounding model."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,11 @@ from experiments.robustness.worlds import CAMERA
 from experiments.workbench.locks import locked
 from freerein.atomic_files import write_atomic
 from freerein.errors import FailedPrecondition
-from freerein_reward.methods.relation_captions.caption_dataset import CaptionDataset, image_relations
+from freerein_reward.methods.relation_captions.caption_dataset import (
+    CaptionDataset,
+    image_relations,
+    place_keypoints,
+)
 from freerein_reward.methods.relation_captions.config import RewardConfig
 from freerein_reward.methods.relation_captions.losses import RewardModelLearner, network_spec
 from freerein_reward.model import DualEncoderModel, GradCamModel, load_built_in, load_reward_model
@@ -35,22 +39,37 @@ def fit_config(*, augmentation: float, seed: int) -> RewardConfig:
 
 
 def fit_model(
-    config: RewardConfig, work: Path, on_progress: Callable[[], None], *, training: Spec = TRAINING
+    config: RewardConfig,
+    work: Path,
+    on_progress: Callable[[], None],
+    *,
+    training: Spec = TRAINING,
+    absent: Sequence[str] = (),
 ) -> DualEncoderModel | None:
-    """Returns the fitted model; None when the fit was stopped."""
+    """Returns the fitted model; None when the fit was stopped.
+
+    Args:
+        config: The service's configuration of the fit.
+        work: Folder of datasets and fits.
+        on_progress: Called now and then.
+        training: What it learns from.
+        absent: Phrases of which it is known that no image shows them.
+    """
 
     def make_learner() -> RewardModelLearner:
         grounding, drawn = open_grounding(), open_or_draw(training, work)
         x, y, heat, presence = _located(grounding, drawn, work / "datasets" / name)
+        heat, presence = (np.where(np.isin(PHRASES, absent), 0.0, each) for each in (heat, presence))
         relations, half_heat = image_relations(x, y, heat, presence, config)
-        dataset = CaptionDataset((drawn.seen["frames"],), PHRASES, relations, half_heat)
+        keypoints = place_keypoints(x, y, heat, presence)
+        dataset = CaptionDataset((drawn.seen["frames"],), PHRASES, relations, half_heat, keypoints)
         parts = dataset.split(drawn.seen["lengths"], fraction=config.validation_fraction, seed=config.seed)
         spec, version = network_spec(grounding.network.spec, config), grounding_version()
         return RewardModelLearner(config, spec, *parts, grounding, version, f"{data} {version}", torch.device("cpu"))
 
     data = dataset_path(training, work).name
     name = f"{data}.{grounding_version()}.safetensors"
-    inputs = [data, grounding_version()]
+    inputs = [data, grounding_version(), *absent]
     folder = fit_once(config, inputs, make_learner, work=work, on_progress=on_progress)
     return None if folder is None else load_reward_model(folder, "cpu")
 

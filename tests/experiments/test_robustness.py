@@ -10,12 +10,15 @@ from experiments import registry
 from experiments.robustness import (
     confidence,
     draw,
+    language,
     made_claims,
+    policies,
     reward_model,
     scenes,
     segmentation,
     targets,
     unfamiliar,
+    visited_states,
     wordings,
     worlds,
 )
@@ -23,9 +26,10 @@ from experiments.robustness.confidence import Answers
 from experiments.robustness.draw import Demonstrations, Exploration, Scenes
 from experiments.robustness.heat_map import heat_map
 from experiments.robustness.scenes import Judged
+from experiments.robustness.visited_states import StoredPolicy
 from experiments.workbench import table
 from experiments.workbench.arms import Arm
-from experiments.workbench.results import ArmResult, Sample
+from experiments.workbench.results import ArmResult, Outcome, Sample
 
 from freerein import metrics
 from freerein.goal_text import Grammar
@@ -177,25 +181,46 @@ def test_where_smaller_is_better_a_claim_must_not_exceed_its_target(value: float
 
 
 @pytest.mark.parametrize(("recall", "met"), [(0.9, True), (0.89, False)])
-def test_precision_counts_at_the_recall_that_it_needs_over_all_policies(recall: float, met: bool) -> None:
-    one, other = visited("blocks.a", recall=recall, wrong=0), visited("blocks.b", recall=recall, wrong=0.01)
-    wanted = [claim_named("reward_precision"), claim_named("reward_recall")]
-    precision, _ = made_claims.make_claims([*one, *other], wanted)
-    assert (precision.claim.seeds, precision.claim.trials) == (3, 8)
-    assert precision.claim.value == pytest.approx(0.4 * recall / (0.4 * recall + 0.6 * 0.005), abs=1e-4)
-    assert precision.claim.met is met
+def test_precision_counts_at_the_recall_that_it_needs_over_all_teachers_and_those_of_the_worst_relation(
+    recall: float, met: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong = {"left-of": 0, "right-of": 0, "on-top-of": 0.03}
+    teachers = [StoredPolicy(f"blocks.a-{relation}-b", f"a-{relation}-b/1", "") for relation in wrong]
+    found = iter([visited(recall=recall, wrong=each) for each in wrong.values()])
+    monkeypatch.setattr(visited_states, "evaluate", lambda *_: Outcome({}, next(found)))
+    samples = visited_states.evaluate_all(None, teachers, tmp_path).samples  # type: ignore[arg-type]
+    arms = [result(Arm("blocks.scatter", visited_states.METHOD, {}, seed), samples) for seed in range(3)]
+    names = ("reward_precision", "reward_precision_worst", "reward_recall", "reward_recall_worst")
+    wanted = [claim_named(name) for name in names]
+    precision, worst, *_ = made_claims.make_claims(arms, wanted)
+    assert (precision.claim.seeds, precision.claim.trials, worst.claim.trials) == (3, 12, 4)
+    for made, share in ((precision, 0.01), (worst, 0.03)):
+        assert made.claim.value == pytest.approx(0.4 * recall / (0.4 * recall + 0.6 * share), abs=1e-4)
+        assert made.claim.met is met
+    assert worst.worst == "on-top-of.precision-at-0.4"
+    assert "teachers, on-top-of" in table.markdown(EXPERIMENT.table(arms))
+    assert not made_claims.make_claims(arms[:2], wanted)[0].claim.met
 
 
-def visited(world: str, *, recall: float, wrong: float) -> list[ArmResult]:
-    """Results of a reward on 4 episodes of 1 000 states, in 900 of which the goal holds."""
+def test_a_claim_needs_all_its_seeds_in_each_of_its_worlds_and_its_row_names_them() -> None:
+    left, right = language.SIDES
+    samples = {policies.RETURN_ALL: Sample([80] * 4, [80] * 4)}
+    arms = [result(Arm(task, policies.PPO, {}, seed), samples) for task in (left, right) for seed in range(5)]
+    wanted = [claim_named("ppo_all")]
+    (made,), (fewer,) = (made_claims.make_claims(each, wanted) for each in (arms, arms[:-1]))
+    assert (made.claim.met, fewer.claim.met) == (True, False)
+    assert f"{left}: 0, 1, 2, 3, 4; {right}: 0, 1, 2, 3 |" in table.markdown(EXPERIMENT.table(arms[:-1]))
+
+
+def visited(*, recall: float, wrong: float) -> dict[str, Sample]:
+    """Figures of a reward on 4 episodes of 1 000 states, in 900 of which the goal holds."""
     holds, others = 900, 100
     right, mistaken = recall * holds, wrong * others
-    samples = {
+    return {
         "precision": Sample([right] * 4, [right + mistaken] * 4),
         "recall": Sample([right] * 4, [holds] * 4),
         "true": Sample([holds] * 4, [holds + others] * 4),
     }
-    return [result(Arm(world, "reward", {"fit": "augmented"}, seed), samples) for seed in range(3)]
 
 
 def test_all_runs_of_a_speed_on_the_processor_with_most_of_them_count() -> None:
