@@ -41,8 +41,8 @@ SHOWN_LABELS = "test.labels"
 _SHOWN = 4
 _LABELLED: tuple[SplitName, ...] = ("train", "validation")
 
-_MOST_WORSE = 1.02
-"""Loss of a whole fit in those of its trial from which the rate was too high for it."""
+_MOST_WORSE, _NEGLIGIBLE = 1.02, 0.01
+"""Of a trial's loss, and nats more: a whole fit that ends above that had too high a rate."""
 
 Fitted = FitResult[SegmentationNetwork]
 WorkbenchLearner = SegmentationLearner | supervised.SupervisedLearner
@@ -183,7 +183,7 @@ def fit_in_turn(
         except TrainingFailed as error:
             failed = error
             continue
-        most = _MOST_WORSE * trial_loss if trials.ends_with_tags(learner.config) else math.inf
+        most = _MOST_WORSE * trial_loss + _NEGLIGIBLE if trials.ends_with_tags(learner.config) else math.inf
         if fitted is None or fitted.validation_loss <= most:
             return learner, fitted
         worse.append((learner, fitted))
