@@ -63,7 +63,7 @@ CASES = (
     ("GetRun", orchestrator.GetRunRequest("1" * 32), "not_found"),
     ("GetRun", orchestrator.GetRunRequest("../x"), "invalid_input"),
     ("ListRuns", orchestrator.ListRunsRequest()),
-    ("ListRuns", orchestrator.ListRunsRequest(1, RUN)),
+    ("ListRuns", orchestrator.ListRunsRequest(1, f"1-{RUN}")),
     ("ListRuns", orchestrator.ListRunsRequest(1001), "invalid_input"),
     ("ListRuns", orchestrator.ListRunsRequest(0, "1" * 32), "invalid_input"),
     ("GetMetrics", orchestrator.GetMetricsRequest(RUN)),

@@ -114,7 +114,7 @@ LEARNING_CASES = (
     Case("GetFit", learning.GetFitRequest("1" * 32), "not_found"),
     Case("GetFit", learning.GetFitRequest("../x"), "invalid_input"),
     Case("ListFits", learning.ListFitsRequest()),
-    Case("ListFits", learning.ListFitsRequest(1, FIT)),
+    Case("ListFits", learning.ListFitsRequest(1, f"1-{FIT}")),
     Case("ListFits", learning.ListFitsRequest(1001), "invalid_input"),
     Case("ListFits", learning.ListFitsRequest(0, "1" * 32), "invalid_input"),
     Case("GetFitMetrics", learning.GetFitMetricsRequest(FIT)),
