@@ -18,7 +18,19 @@ from enum import Enum
 from itertools import product
 
 from freerein.criteria import CRITERIA, Criterion, View
-from freerein.goal_text import CLAUSES, COPULAS, GoalText, Grammar, Words, names_of, words, words_outside
+from freerein.goal_text import (
+    CLAUSES,
+    COPULAS,
+    GoalText,
+    Grammar,
+    Words,
+    bare_words,
+    is_noun_phrase,
+    names_of,
+    stated,
+    words,
+    words_outside,
+)
 from freerein.nearest_statement import LOOSELY, NearestStatement
 from freerein.relations import MISSING
 
@@ -141,6 +153,33 @@ class CriterionGrammar(Grammar):
             return f"`{criterion.name}` relates {criterion.nouns} things; {len(nouns)} are named."
         twice = [noun for noun in nouns if nouns.count(noun) > 1]
         return f"A thing must be named once; {twice[0]} is named twice." if twice else ""
+
+
+def stated_criterion(text: str) -> tuple[Criterion, Words] | None:
+    """Returns the criterion that a text states, and its nouns, which no model need know; None where it states none.
+
+    The first and longest wording counts.
+    """
+    said = stated(text)
+    for start in range(1, len(said)):
+        for end in range(min(len(said) - 1, start + _LONGEST), start, -1):
+            for claim, criterion, tails in _READINGS.get(said[start:end], ()):
+                nouns = (said[:start], *_split(said[end:], tails))
+                if claim is not Claim.HOLDS or criterion is None or len(nouns) != criterion.nouns:
+                    continue
+                if len(set(map(bare_words, nouns))) == len(nouns) and all(map(is_noun_phrase, nouns)):
+                    return criterion, tuple(map(" ".join, nouns))
+    return None
+
+
+def _split(said: Words, tails: Sequence[Words]) -> tuple[Words, ...]:
+    """Returns the words before each tail; an empty one is the end."""
+    parts = []
+    for tail in tails:
+        end = next((at for at in range(len(said)) if tail and said[at : at + len(tail)] == tail), len(said))
+        parts.append(said[:end])
+        said = said[end + len(tail) :]
+    return tuple(parts)
 
 
 Reading = tuple[Claim, Criterion | None, tuple[Words, ...]]

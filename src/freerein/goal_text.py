@@ -256,13 +256,17 @@ def asked(said: Words) -> Words:
     return said[:-1] if said[-1:] == (POLITE,) else said
 
 
+def stated(text: str) -> Words:
+    """Returns the words of a text, also of one that asks for what it states."""
+    said = asked(words(text))
+    return said[1:] if said[:1] and said[0] in VERBS else said
+
+
 def noun_phrases(texts: Iterable[str]) -> tuple[str, ...]:
     """Returns the two noun phrases of each text that relates two, once each, whatever their articles."""
     found: dict[Words, str] = {}
     for text in texts:
-        said = asked(words(text))
-        said = said[1:] if said[:1] and said[0] in VERBS else said
-        for phrase in _related(said):
+        for phrase in _related(stated(text)):
             found.setdefault(bare_words(phrase), " ".join(phrase))
     return tuple(found.values())
 
@@ -293,11 +297,12 @@ def _related(said: Words) -> tuple[Words, ...]:
         for end in range(min(len(said) - 1, start + _LONGEST_RELATED), start, -1):
             if said[start:end] in _RELATIONS:
                 phrases = said[:start], said[end:]
-                return phrases if all(map(_is_noun_phrase, phrases)) else ()
+                return phrases if all(map(is_noun_phrase, phrases)) else ()
     return ()
 
 
-def _is_noun_phrase(said: Words) -> bool:
+def is_noun_phrase(said: Words) -> bool:
+    """Returns whether words may be a noun phrase: few, and none that makes a sentence."""
     bare = bare_words(said)
     return 0 < len(bare) <= _LONGEST_PHRASE and bare[0] not in ARTICLES and not _NO_NOUNS.intersection(bare)
 

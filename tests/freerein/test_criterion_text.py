@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from freerein.criteria import CRITERIA, Criterion, View
-from freerein.criterion_text import Claim, CriterionCaption, CriterionGrammar
+from freerein.criterion_text import Claim, CriterionCaption, CriterionGrammar, stated_criterion
 from freerein.goal_text import COPULAS, VERBS
 
 PHRASES = ("a red block", "a green block", "a blue block")
@@ -37,6 +37,26 @@ def test_a_goal_text_is_read_as_a_criterion_of_its_nouns(text: str) -> None:
     nouns = tuple(f"a {colour} block" for colour in colours.split())
     assert GRAMMAR.caption(text) == CriterionCaption(Claim.HOLDS, CRITERIA[name], nouns)
     assert GRAMMAR.read(text).text == CRITERIA[name].wordings[0].format(*nouns)
+
+
+@pytest.mark.parametrize(
+    ("text", "stated"),
+    [
+        ("Please put the cup near the plate.", ("close_to", ("the cup", "the plate"))),
+        ("a jar should be in front of a jar lid", ("in_front_of", ("a jar", "a jar lid"))),
+        ("a fork between a plate and a milk glass", ("in_between", ("a fork", "a plate", "a milk glass"))),
+        ("a cup near the cup", None),
+        ("a cup not near a plate", None),
+        ("a cup near a plate and a fork", None),
+        ("a fork between a plate", None),
+        ("near a plate", None),
+    ],
+)
+def test_what_a_text_states_of_things_is_read_though_no_model_knows_them(
+    text: str, stated: tuple[str, tuple[str, ...]] | None
+) -> None:
+    criterion, nouns = stated_criterion(text) or (None, ())
+    assert (stated is None) if criterion is None else ((criterion.name, nouns) == stated)
 
 
 def test_rivals_are_what_excludes_a_criterion_its_failure_and_absence() -> None:

@@ -1,6 +1,7 @@
 """Runs of kind `zsrm`, with the real sim, reward and imitation services."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 
 from freerein.clients import Channel, ImitationClient, SyncClient
 from freerein.errors import InvalidInput
-from freerein.types.common import ActionSpec
+from freerein.types.common import ActionSpec, Camera
 from freerein.types.imitation import GetSpecRequest
 from freerein.types.sim import Task
 from freerein_orchestrator.kinds import KINDS
@@ -32,6 +33,7 @@ def test_the_texts_two_things_are_the_phrases_of_the_reward_that_the_policy_lear
     ("wrong", "field"),
     [
         ({"text": "stack everything"}, "config.text"),
+        ({"text": "a cup apart from a box", "reward": {"method": "criterion_captions"}}, "config.text"),
         ({"policy": {"batch_size": 7}}, "config.batch_size"),
         ({"policy": {"reward": "oracle"}}, "config.policy"),
         ({"reward": {"steps": -1}}, "config"),
@@ -44,15 +46,40 @@ def test_what_cannot_be_learned_from_is_refused_before_anything_is_done(wrong: d
     assert refused.value.field.startswith(field)
 
 
-def test_a_task_whose_own_goal_relates_nothing_needs_a_text() -> None:
-    with pytest.raises(InvalidInput, match="must relate two things; got `put it there`"):
+@pytest.mark.parametrize(
+    ("text", "policy", "views"),
+    [
+        ("put a blue puck near a yellow puck", {}, ["front", "", "front"]),
+        ("a blue puck behind a yellow puck", {"camera": "left"}, ["left", "left", ""]),
+        ("a blue puck behind a yellow puck", {"cameras": ["front", "left"]}, None),
+    ],
+)
+def test_what_no_relation_says_is_judged_by_criteria(
+    text: str, policy: dict[str, Any], views: list[str] | None
+) -> None:
+    task = replace(TASK, name="push", cameras=(Camera("front", 64, 64, 3),))
+    images, reward, training = pipeline_steps(ZsrmRunConfig(task.name, text, policy=policy), task, "push.scatter")
+    assert reward["config"]["config"]["method"] == "criterion_captions"
+    assert reward["config"]["config"]["phrases"] == ["a blue puck", "a yellow puck"]
+    assert reward["config"]["config"].get("views") == views
+    assert reward["config"]["config"]["cameras"] == policy.get("cameras", [policy.get("camera", "front")])
+    assert (training["config"]["encoder"], images["config"]["task"]) == ("spatial", "push.scatter")
+
+
+def test_a_task_whose_own_goal_states_nothing_needs_a_text() -> None:
+    with pytest.raises(
+        InvalidInput, match="must state a relation or criterion of two or three things; got `put it there`"
+    ):
         pipeline_steps(ZsrmRunConfig(TASK.name), TASK, TASK.name)
 
 
 @pytest.mark.long  # a fit of a reward model, and of an object encoder
 @pytest.mark.e2e
+@pytest.mark.parametrize(
+    ("task", "text"), [("blocks.red-left-of-blue", TEXT), ("push", "a blue object close to a yellow object")]
+)
 def test_a_run_goes_from_a_text_to_a_policy_that_is_served_though_it_is_stopped_between(
-    new_run: Callable[..., Any], start_service: Callable[..., Any], tmp_path: Path
+    task: str, text: str, new_run: Callable[..., Any], start_service: Callable[..., Any], tmp_path: Path
 ) -> None:
     started = {
         name: start_service(f"freerein_{name.lower()}", tmp_path, FREEREIN_SIM_WORKERS="1")
@@ -60,7 +87,8 @@ def test_a_run_goes_from_a_text_to_a_policy_that_is_served_though_it_is_stopped_
     }
     services = {f"FREEREIN_{name}_ADDRESS": service.address for name, service in started.items()}
     config = {
-        "task": "blocks.red-left-of-blue",
+        "task": task,
+        "text": text,
         "count": 60,
         "name": "words",
         "reward": {"steps": 20},
@@ -76,8 +104,8 @@ def test_a_run_goes_from_a_text_to_a_policy_that_is_served_though_it_is_stopped_
     assert fitted.stat().st_mtime_ns == recorded
     assert run.rows[-1]["step"] == run.kind.steps(run.config) == 60 + 20 + 1
     result = run.artifact("result.json")
-    assert (result["goal_text"], result["privileged"]) == (TEXT, False)
+    assert (result["goal_text"], result["privileged"]) == (text, False)
     assert result["models"]["policy"] == vars(run.model)
     assert (result["models"]["reward"]["name"], run.model.name) == ("words", "words")
     with SyncClient(ImitationClient(Channel(started["IMITATION"].address))) as imitation:
-        assert imitation.get_spec(GetSpecRequest(run.model)).goal_texts == (TEXT,)
+        assert imitation.get_spec(GetSpecRequest(run.model)).goal_texts == (text,)

@@ -18,6 +18,8 @@ from typing import Any
 from freerein.atomic_files import write_atomic
 from freerein.clients.tasks import find_task
 from freerein.config import bounded, parse
+from freerein.criteria import View
+from freerein.criterion_text import stated_criterion
 from freerein.errors import InvalidInput, NotFound, must_be, quoted
 from freerein.goal_text import noun_phrases
 from freerein.learning.actor_critic.policy_files import IN_DISTRIBUTION_FILE, NAMES
@@ -37,6 +39,9 @@ _SCENES = ".scatter"
 """What the name of a world's task ends in that shows its things in many places."""
 
 _REWARD: Mapping[str, Any] = {"steps": 1000}
+_CRITERIA = "criterion_captions"
+"""The method of reward models of goals that the five relations cannot say."""
+
 _OWN = ("task", "goal_text", "reward", "reward_model")
 """Keys of the training that this kind sets."""
 
@@ -47,19 +52,21 @@ class ZsrmRunConfig:
 
     Attributes:
         task: The task that the policy acts in.
-        text: The goal in words, a relation of two things; empty for the task's own.
-        phrases: Noun phrases of other things that images may show, beside the text's two.
+        text: The goal in words, a relation or criterion of two or three things; empty for the task's own.
+        phrases: Noun phrases of other things that images may show, beside those of the text.
         scenes: The task that the images are recorded in; empty for that of the same world whose name ends in
             `.scatter`, or where there is none `task` itself.
         count: Trajectories of images, with random actions.
         name: Name of the dataset, of the reward model and of the published policy; empty for the task's, with `-zsrm`.
-        reward: Configuration of the reward model's fit.
-        policy: Configuration of the training by PPO, but for `task`, `goal_text`, `reward` and `reward_model`.
+        reward: Configuration of the reward model's fit. Its `method` is `criterion_captions` where the text is none of
+            the five relations; by default one camera is then the front view, and that which the criterion is judged in.
+        policy: Configuration of the training by PPO, but for `task`, `goal_text`, `reward` and `reward_model`. With
+            `criterion_captions`, its encoder is `spatial` by default.
         seed: Seed of every random draw.
 
     Raises:
-        InvalidInput: A name is invalid, the text relates no two things, or `steps` of the fit's configuration is
-            invalid, or the training's configuration is.
+        InvalidInput: A name is invalid, the text states nothing of two or three things, or `steps` of the fit's
+            configuration is invalid, or the training's configuration is.
     """
 
     task: str
@@ -76,7 +83,7 @@ class ZsrmRunConfig:
         check_name(self.shared_name, field="config.name" if self.name else "config.task")
         check_steps(self.reward)
         if self.text:
-            _nouns(self.text)
+            self.nouns(self.text)
         if own := sorted(set(self.policy).intersection(_OWN)):
             rule = f"without {', '.join(_OWN)}, which this kind sets"
             raise must_be("policy", rule, f"one with {', '.join(own)}", field="config.policy", hint="Leave them out.")
@@ -89,13 +96,38 @@ class ZsrmRunConfig:
 
     @property
     def fit(self) -> dict[str, Any]:
-        """Configuration of the reward model's fit, with the defaults of this kind, but for the phrases."""
+        """Configuration of the reward model's fit, with the defaults of this kind, but for those of its text."""
         return {**_REWARD, "seed": self.seed, **self.reward}
+
+    def method(self, text: str) -> str:
+        """Returns the method of the reward model of a text; empty for the reward service's default."""
+        return str(self.reward.get("method", "" if noun_phrases((text,)) else _CRITERIA))
+
+    def nouns(self, text: str) -> tuple[str, ...]:
+        """Returns the noun phrases of a text that the reward model can learn.
+
+        Raises:
+            InvalidInput: It states no criterion, or, for a model of the five relations, none of these.
+        """
+        stated = stated_criterion(text) if self.method(text) == _CRITERIA else (None, noun_phrases((text,)))
+        _, nouns = stated or (None, ())
+        if not nouns:
+            raise InvalidInput(
+                f"The goal must state a relation or criterion of two or three things; got {quoted(text)}.",
+                field="config.text",
+                hint="For example: a yellow block to the left of a green block.",
+            )
+        return nouns
 
     def training(self, text: str) -> PPORunConfig:
         """Returns the training of a policy that does what a text says."""
+        return parse(PPORunConfig, self.policy_config(text))
+
+    def policy_config(self, text: str) -> dict[str, Any]:
+        """Returns the configuration of the training of a policy that does what a text says."""
+        encoder = {"encoder": "spatial"} if text and self.method(text) == _CRITERIA else {}
         own = {"task": self.task, "goal_text": text, "reward_model": self.shared_name}
-        return parse(PPORunConfig, {"seed": self.seed, **self.policy, **own})
+        return {**encoder, "seed": self.seed, **self.policy, **own}
 
 
 def pipeline_steps(config: ZsrmRunConfig, task: Task, scenes: str) -> list[dict[str, Any]]:
@@ -107,22 +139,22 @@ def pipeline_steps(config: ZsrmRunConfig, task: Task, scenes: str) -> list[dict[
         scenes: Name of the task that the images are recorded in.
 
     Raises:
-        InvalidInput: The goal in words relates no two things.
+        InvalidInput: The goal in words states nothing of two or three things.
     """
     name, text = config.shared_name, config.text or task.goal_text
-    training = config.training(text)
+    nouns, training = config.nouns(text), config.training(text)
     cameras = training.reward_cameras or training.cameras or (training.camera,) * bool(training.camera)
-    phrases = list(dict.fromkeys([*_nouns(text), *config.phrases]))
     images = {"behaviour": "random", "count": config.count, "seed": config.seed}
     if cameras:
         images["cameras"] = list(cameras)
-    several = {"cameras": list(cameras)} if len(cameras) > 1 else {}  # a fit's own default is the first
-    fit = {**several, **config.fit, "phrases": phrases}
-    policy = {**config.policy, "task": task.name, "goal_text": text, "reward_model": name}
+    own: dict[str, Any] = {"cameras": list(cameras)} if len(cameras) > 1 else {}  # a fit's own default is the first
+    if config.method(text) == _CRITERIA:
+        own = {"method": _CRITERIA, **(own or _views(text, cameras[0] if cameras else task.cameras[0].name))}
+    fit = {**own, **config.fit, "phrases": list(dict.fromkeys([*nouns, *config.phrases]))}
     return [
         make_step("images", "collect", task=scenes, dataset=name, **images),
         make_step("reward", "fit", service="reward", dataset=name, model_name=name, config=fit),
-        make_step("policy", "ppo", **{"seed": config.seed, **policy}),
+        make_step("policy", "ppo", **config.policy_config(text)),
     ]
 
 
@@ -161,16 +193,11 @@ def _scenes_of(context: RunContext, task: Task) -> str:
         return task.name
 
 
-def _nouns(text: str) -> tuple[str, ...]:
-    """Returns the two noun phrases of a text."""
-    found = noun_phrases((text,))
-    if len(found) != 2:
-        raise InvalidInput(
-            f"The goal must relate two things; got {quoted(text)}.",
-            field="config.text",
-            hint="For example: a yellow block to the left of a green block.",
-        )
-    return found
+def _views(text: str, camera: str) -> dict[str, Any]:
+    """Returns the keys of a fit to one camera: it is the front view, and that of the text's criterion."""
+    criterion, _ = stated_criterion(text) or (None, ())
+    its = {View.FRONT} if criterion is None else {View.FRONT, criterion.view}
+    return {"cameras": [camera], "views": [camera if each in its else "" for each in View]}
 
 
 def _publish(context: RunContext, config: ZsrmRunConfig) -> None:

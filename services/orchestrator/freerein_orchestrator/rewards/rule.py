@@ -9,6 +9,8 @@ import numpy as np
 
 from freerein import images
 from freerein.clients import SyncClient
+from freerein.criteria import CRITERIA
+from freerein.criterion_text import stated_criterion
 from freerein.errors import InvalidInput
 from freerein.goal_text import Grammar, not_known, noun_phrases
 from freerein.relations import SpatialRelation, caption
@@ -18,7 +20,7 @@ from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
 from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.vec_env import CameraFrames, Frames, Rewards
 
-_CLOSE_TO = " close to "
+_CLOSE_TO = CRITERIA["close_to"]
 _IMAGES_AT_ONCE = 128
 
 
@@ -46,13 +48,14 @@ class Rule:
             said = Grammar(found, [goal_text]).read(goal_text).statement
             if said is not None:
                 return cls((first, second), frozenset((said.caption,)))
-        first, _, second = goal_text.partition(_CLOSE_TO)
-        if not second:
+        criterion, nouns = stated_criterion(goal_text) or (None, ())
+        if criterion is not _CLOSE_TO:
             raise InvalidInput(
                 "The reward `rule` needs a goal text that relates two things; got another.",
                 field="config.goal_text",
                 hint="For example: a yellow block to the left of a green block.",
             )
+        first, second = nouns
         near = [each for each in SpatialRelation if each is not SpatialRelation.APART_FROM]
         return cls((first, second), frozenset(caption(first, each, second) for each in near))
 

@@ -81,8 +81,8 @@ def check_views(cameras: tuple[str, ...], views: tuple[str, ...]) -> None:
     named = tuple(each for each in views if each != NO_CAMERA)
     if len(views) != len(View) or set(named) != set(cameras) or views[View.FRONT] == NO_CAMERA:
         raise InvalidInput(
-            f"`views` must name the camera of the front, side and tilted view, each one of `cameras`, or empty; "
-            f"got {len(views)} views of {len(cameras)} cameras.",
+            "`views` must name the camera of the front, side and tilted view, each one of `cameras`, or, but for the "
+            f"front, empty; got {len(views)} views of {len(cameras)} cameras.",
             field="config.views",
             hint=f"For example --set 'cameras=[\"{cameras[0] if cameras else 'front'}\"]' "
             f'--set \'views=["{cameras[0] if cameras else "front"}", "", ""]\'.',
