@@ -15,6 +15,7 @@ from freerein.learning import tensor_files
 from freerein.model_store import ModelStore
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_imitation.methods import METHODS
+from freerein_imitation.methods.shared.goal_images.config import GoalImagesConfig
 
 SIDE = 16
 ACTION = ActionSpec(1, 4, ("no-op", "forward", "left", "right"), hold=2)
@@ -122,6 +123,13 @@ def test_a_recognizer_that_cannot_be_copied_is_refused_before_a_fit_begins(
     with pytest.raises(InvalidInput, match=match) as error:
         METHODS.resolve(data_dir, "play", POLICY | {"method": "inverse_model"} | change, threads=1)
     assert error.value.field == "config.recognizer"
+
+
+@pytest.mark.parametrize("key", ["close_steps", "embedding_size"])
+def test_what_only_the_training_of_a_recognizer_reads_is_refused_beside_one_that_is_copied(key: str) -> None:
+    with pytest.raises(InvalidInput, match=f"`{key}` is of fits that train a goal recognizer") as error:
+        GoalImagesConfig(recognizer="near", **{key: 4})
+    assert error.value.field == f"config.{key}"
 
 
 def test_a_version_of_a_recognizer_that_there_is_not_is_not_found(data_dir: Path) -> None:

@@ -17,12 +17,12 @@ class GoalImagesConfig(DatasetFitConfig):
         encoder: Image encoder of the policy, and of a goal recognizer that is trained with it.
         min_goal_steps: Fewest actions from a slice's first frame to its goal.
         max_goal_steps: Most actions from a slice's first frame to its goal.
-        close_steps: Frames at most so many actions apart are positive pairs of the goal recognizer.
+        close_steps: Frames at most so many actions apart are positive pairs of a goal recognizer that is trained.
         far_steps: Frames of one trajectory more actions apart than that are negative pairs.
         batch_size: Windows per update; each is cut into many slices.
         features: Image features per camera of the policy.
         hidden_size: Units of the policy's hidden layers.
-        embedding_size: Size of the recognizer's embeddings, and its image features per camera.
+        embedding_size: Size of such a recognizer's embeddings, and its image features per camera.
         head: Action head: `categorical` for choices; `bins` for numbers; for pick and place `autoregressive` or `map`,
             too; `auto` for the first of these that fits.
         temperature: Divisor of logits before actions are drawn; 0 for the likeliest actions.
@@ -30,7 +30,7 @@ class GoalImagesConfig(DatasetFitConfig):
         recognizer_version: Its version; empty for the active one.
 
     Raises:
-        InvalidInput: A minimum is above its maximum.
+        InvalidInput: A minimum is above its maximum, or a key of a recognizer's training is given beside `recognizer`.
     """
 
     encoder: str = one_of(ENCODERS, "spatial")
@@ -57,3 +57,10 @@ class GoalImagesConfig(DatasetFitConfig):
                     f"`{less}` must not be above `{more}`; got {getattr(self, less)} and {getattr(self, more)}.",
                     field=f"config.{less}",
                 )
+        own = [key for key in ("close_steps", "embedding_size") if getattr(self, key) != getattr(type(self), key)]
+        if self.recognizer and own:
+            raise InvalidInput(
+                f"`{own[0]}` is of fits that train a goal recognizer; got it with the recognizer that is to be copied.",
+                field=f"config.{own[0]}",
+                hint=f"Leave out {own[0]}, or fit a recognizer with it.",
+            )
