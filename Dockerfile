@@ -37,7 +37,8 @@ WORKDIR /freerein
 COPY constraints.txt pyproject.toml ./
 COPY src/pyproject.toml src/README.md src/
 RUN mkdir -p src/freerein && touch README.md LICENSE src/freerein/__init__.py \
- && pip install -c constraints.txt ./src '.[serving]' && pip uninstall -y freerein freerein-client
+ && pip install -c constraints.txt hatchling \
+ && pip install --no-build-isolation -c constraints.txt ./src '.[serving]' && pip uninstall -y freerein freerein-client
 
 
 # With torch; its own index is skipped if it does not answer within 3 seconds. Headers and torch's tests, a quarter of
@@ -52,7 +53,7 @@ RUN index=$TORCH_INDEX \
  && pip install -c constraints.txt ${index:+--extra-index-url "$index"} torch \
  && cd "$(python -c 'import importlib.util as u; print(*u.find_spec("torch").submodule_search_locations)')" \
  && rm -rf include test bin/test_*
-RUN pip install -c constraints.txt ./src '.[data,learning]' && pip uninstall -y freerein freerein-client
+RUN pip install --no-build-isolation -c constraints.txt ./src '.[data,learning]' && pip uninstall -y freerein freerein-client
 
 
 # Each with the models that it serves; policies of the orchestrator may see with encoders of reward's.
@@ -82,11 +83,13 @@ ARG DOOM=
 RUN [ -z "$DOOM" ] || pip install --no-deps -r assets-doom.txt
 
 FROM common AS cli
-RUN pip install -c constraints.txt ./src '.[cli]' && pip uninstall -y freerein freerein-client
+RUN pip install --no-build-isolation -c constraints.txt ./src '.[cli]' && pip uninstall -y freerein freerein-client
 
 
 FROM ${SERVICE}
 COPY --from=wheels /wheels /wheels
 RUN pip install -c constraints.txt /wheels/*.whl
-ENV FREEREIN_HOST=0.0.0.0 FREEREIN_DATA_DIR=/data FREEREIN_SHIPPED_DIR=/freerein/models PYTHONUNBUFFERED=1
+ARG SERVICE
+ENV FREEREIN_HOST=0.0.0.0 FREEREIN_DATA_DIR=/data FREEREIN_SHIPPED_DIR=/freerein/models PYTHONUNBUFFERED=1 SERVICE=$SERVICE
 USER 10001:10001
+CMD ["sh", "-c", "[ $SERVICE != cli ] || exec freerein --help; exec python -m freerein_$SERVICE"]

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import httpx
 import orjson
 
-from freerein.stack import Stack, choose, free_ports
+from freerein.stack import Stack, choose, free_ports, isolated_environ
 
 _START_TIMEOUT_S = 300.0
 _STOP_TIMEOUT_S = 60.0
@@ -23,8 +23,8 @@ Sent = TypeVar("Sent")
 @asynccontextmanager
 async def run_service(service: str, *, data_dir: Path, **environ: str) -> AsyncGenerator[Stack, None]:
     """Runs a service on free ports, ready when the block begins; `environ` adds environment variables."""
-    ports = free_ports([service])
-    async with Stack(choose([service]), data_dir=data_dir, environ={**os.environ, **environ}, ports=ports) as stack:
+    ports, environ = free_ports([service]), {**isolated_environ(os.environ), **environ}
+    async with Stack(choose([service]), data_dir=data_dir, environ=environ, ports=ports) as stack:
         await stack.ready(timeout_s=_START_TIMEOUT_S)
         yield stack
 

@@ -57,8 +57,15 @@ def _print_arms(arms: Sequence[ArmProgress]) -> None:
 def _show(arguments: argparse.Namespace) -> int:
     """Prints the result of an arm as JSON, without what pictures show and its samples by trial."""
     experiment = registry.load(arguments.name)
-    for arm in choose(experiment, [arguments.arm]):
-        result = results.load(arguments.results / arguments.name / f"{arm.name}.json")
+    folder = arguments.results / arguments.name
+    paths = [folder / f"{arm.name}.json" for arm in choose(experiment, [arguments.arm])]
+    if not any(path.exists() for path in paths):
+        raise NotFound(
+            f"An arm must have a result to be shown; {paths[0].stem} has none.",
+            hint=f"Run: python -m experiments run {arguments.name} --only '{arguments.arm}'",
+        )
+    for path in filter(Path.exists, paths):
+        result = results.load(path)
         print(json.dumps(asdict(replace(result, samples={}, shown={})), indent=2))
     return 0
 

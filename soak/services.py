@@ -11,7 +11,7 @@ import torch
 from benchmarks.untrained import initialise, publish
 
 from freerein.clients import Channel, ImitationClient, OrchestratorClient, RewardClient, SegmentationClient, SimClient
-from freerein.stack import Stack, choose, free_ports
+from freerein.stack import Stack, choose, free_ports, isolated_environ
 from freerein.types.common import ActionSpec, Camera
 from freerein.types.imitation import GetSpecRequest
 from freerein.types.orchestrator import StartRunRequest, WatchRunRequest
@@ -41,7 +41,7 @@ async def start(data_dir: Path) -> AsyncIterator[tuple[Stack, Services]]:
     """Runs the services while the block lasts."""
     publish_segmentation_model(data_dir)
     modules = choose(())
-    environ = {**os.environ, **_SETTINGS}
+    environ = {**isolated_environ(os.environ), **_SETTINGS}
     async with AsyncExitStack() as opened:
         stack = await opened.enter_async_context(
             Stack(modules, data_dir=data_dir, environ=environ, ports=free_ports(modules))

@@ -19,8 +19,8 @@ from freerein.atomic_files import write_atomic
 _PATTERN = "archive-*.json.xz"
 
 
-def write(folder: Path, objects: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Writes objects, all that a folder's results name, in place of its archives; returns their digests, in order."""
+def write(folder: Path, objects: Sequence[Mapping[str, Any]]) -> tuple[Path, list[str]]:
+    """Writes objects to an archive of a folder; returns it, and their digests in order."""
     texts = [to_json(each) for each in objects]
     digests = [_digest(text) for text in texts]
     named = dict(zip(digests, texts, strict=True))
@@ -28,9 +28,13 @@ def write(folder: Path, objects: Sequence[Mapping[str, Any]]) -> list[str]:
     written = folder / _PATTERN.replace("*", _digest(joined))
     if not written.exists():
         write_atomic(written, compress(joined))
-    for path in set(folder.glob(_PATTERN)) - {written}:
+    return written, digests
+
+
+def keep_only(archive: Path) -> None:
+    """Deletes the other archives of its folder, whose objects no result names any more."""
+    for path in set(archive.parent.glob(_PATTERN)) - {archive}:
         path.unlink()
-    return digests
 
 
 def read(folder: Path, digest: str) -> Mapping[str, Any]:

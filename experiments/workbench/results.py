@@ -19,6 +19,7 @@ import numpy.typing as npt
 import torch
 
 from experiments.workbench import archive
+from experiments.workbench.locks import locked_folder
 from experiments.workbench.processor import processor
 from freerein.atomic_files import write_atomic
 from freerein.errors import FailedPrecondition
@@ -110,7 +111,9 @@ def save(result: ArmResult, folder: Path) -> None:
     """Writes `folder / <name>.json`."""
     short, long = _split(result)
     packed = base64.b85encode(archive.compress(archive.to_json(long))).decode()
-    _write({**short, "packed": packed}, folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked_folder(folder):
+        _write({**short, "packed": packed}, folder)
 
 
 def pack(folder: Path) -> None:
@@ -119,11 +122,15 @@ def pack(folder: Path) -> None:
     Raises:
         FailedPrecondition: A file is no result.
     """
-    split = [_split(result) for result in load_all(folder)]
-    if split:
-        digests = archive.write(folder, [long for _, long in split])
-        for (short, _), digest in zip(split, digests, strict=True):
-            _write({**short, "archived": digest}, folder)
+    if not folder.is_dir():
+        return
+    with locked_folder(folder):
+        split = [_split(result) for result in load_all(folder)]
+        if split:
+            written, digests = archive.write(folder, [long for _, long in split])
+            for (short, _), digest in zip(split, digests, strict=True):
+                _write({**short, "archived": digest}, folder)
+            archive.keep_only(written)
 
 
 def load_all(folder: Path) -> list[ArmResult]:

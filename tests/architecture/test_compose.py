@@ -74,7 +74,7 @@ def test_a_container_finds_every_service(name: str) -> None:
 @pytest.mark.parametrize("name", PORTS)
 def test_a_service_runs_comes_back_and_is_healthy_when_it_is_ready(name: str) -> None:
     service = CONTAINERS[name]
-    assert service["command"] == ["python", "-m", f"freerein_{name}"]
+    assert "command" not in service  # the image's own
     assert service["restart"] == "unless-stopped"
     assert service["init"] is True
     assert "ProxyHandler({})" in service["healthcheck"]["test"][-1]

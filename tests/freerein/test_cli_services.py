@@ -134,9 +134,17 @@ async def test_an_address_that_the_environment_sets_is_what_services_are_told_an
     assert _log(tmp_path) == [f"{replicas} None" if replicas else own]
 
 
-@pytest.mark.parametrize("window_s", [600.0, 0.0])  # however long its starts take
-async def test_a_service_that_keeps_crashing_is_given_up(tiny: Callable[..., Stack], window_s: float) -> None:
-    async with tiny(_CRASHING, replace(_HASTY, window_s=window_s)) as stack:
+async def test_a_service_that_was_ready_is_tried_again_however_often_it_crashes(tiny: Callable[..., Stack]) -> None:
+    async with tiny(_READY, replace(_HASTY, crashes=2)) as stack:
+        for restarts in range(2):
+            ready = await _until(stack, lambda each, count=restarts: (each.state, each.restarts) == ("ready", count))
+            os.kill(ready.pid, signal.SIGKILL)
+        after = await _until(stack, lambda each: each.state in ("restarting", "given up") and each.restarts == 1)
+        assert after.state == "restarting"
+
+
+async def test_a_service_that_keeps_crashing_as_it_starts_is_given_up(tiny: Callable[..., Stack]) -> None:
+    async with tiny(_CRASHING, _HASTY) as stack:
         status = await _until(stack, lambda status: status.has_failed)
 
     assert status.state == "given up"

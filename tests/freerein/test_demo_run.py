@@ -70,9 +70,6 @@ def test_the_output_of_an_earlier_demo_is_deleted_however_far_it_came(tmp_path: 
     for name in (MARKER, "summary.json", "data/logs/sim.log"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    prepare(tmp_path, keep=None)
-    assert [path.name for path in tmp_path.iterdir()] == [MARKER]
-    (tmp_path / "data" / "begun").mkdir(parents=True)
     prepare(tmp_path, keep=tmp_path.parent)
     assert [path.name for path in tmp_path.iterdir()] == [MARKER]
 

@@ -16,7 +16,8 @@ def open_dataset(data_dir: Path, name: str) -> Dataset:
         raise NotFound(
             f"The dataset must be in the data directory; got {quoted(name)}.",
             field="dataset",
-            hint="Record one: freerein sim demonstrate TASK --out NAME.",
+            hint="Record one: freerein sim demonstrate TASK --out NAME. If you did, start commands and services in one "
+            "folder, or give them one FREEREIN_DATA_DIR.",
         )
     return Dataset(path)
 

@@ -1,12 +1,13 @@
 """Installed services, their addresses, and free ports."""
 
 import contextlib
+import errno
 import socket
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 
-from freerein.errors import FailedPrecondition, InvalidInput, NotFound
+from freerein.errors import FailedPrecondition, InvalidInput, NotFound, quoted
 from freerein.ports import PORTS, Ports, address, default_ports, rest_url
 from freerein.serving.environment import is_container_link, unbracketed
 
@@ -105,19 +106,31 @@ def hold(ports: Mapping[str, Ports], *, host: str = LOOPBACK) -> contextlib.Exit
     """Binds the ports of services until the result is closed, so that no other program is given one of them.
 
     The services bind them all the same, by SO_REUSEADDR, since nobody listens here. Raises FailedPrecondition where a
-    port is in use.
+    port cannot be bound.
     """
     with contextlib.ExitStack() as held:
         for service, pair in ports.items():
             for port in (pair.rest, pair.grpc):
                 try:
                     held.enter_context(_bound(port, host))
-                except OSError:
-                    raise FailedPrecondition(
-                        f"Port {port} must be free for {service}; it is in use.",
-                        hint="Stop the other `freerein up` or whatever uses the port; `freerein doctor` says more.",
-                    ) from None
+                except OSError as error:
+                    raise _not_bound(error, service, port, host) from None
         return held.pop_all()
+
+
+def _not_bound(error: OSError, service: str, port: int, host: str) -> FailedPrecondition:
+    if error.errno == errno.EADDRINUSE:
+        return FailedPrecondition(
+            f"Port {port} must be free for {service}; it is in use.",
+            hint="Stop the other `freerein up` or whatever uses the port; `freerein doctor` says more.",
+        )
+    if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
+        return FailedPrecondition(
+            f"FREEREIN_HOST must be an address of this machine; got {quoted(host)}.",
+            field="FREEREIN_HOST",
+            hint="`ip address` lists them; 0.0.0.0 stands for all.",
+        )
+    return FailedPrecondition(f"Port {port} of {host} must be one that {service} may bind; {error.strerror}.")
 
 
 def is_free(port: int, *, host: str = LOOPBACK) -> bool:

@@ -11,14 +11,14 @@ MARKER = ".freerein-demo"
 _SERVICE_FOLDERS = ("datasets", "fits", "logs", "models", "named", "runs")
 
 
-def prepare(out: Path, *, keep: Path | None) -> None:
+def prepare(out: Path, *, keep: Path) -> None:
     """Creates or empties the output folder, and writes the marker.
 
     Raises InvalidInput where it contains the data directory `keep` or lies in one of its service folders, and
     FailedPrecondition where something other than a demo made it.
     """
     folder = out.resolve()
-    if keep and _overlaps(folder, keep.resolve()):
+    if _overlaps(folder, keep.resolve()):
         raise InvalidInput(
             "The output folder is emptied first, so it must not hold the services' data directory or lie in it; "
             f"got {folder}.",

@@ -25,6 +25,7 @@ _SERVICES = ("sim", "segmentation", "imitation", "reward", "orchestrator")
 _READY_TIMEOUT_S = 300.0
 _READY_ABOUT_S = 6.0
 _PARTS = (*FIRST_RESULTS, *LEARNED)
+_COPY = "var-of-demo"
 _TRY_NEXT = (
     "freerein models list",
     "freerein run ppo --set task=blocks.yellow-right-of-green --watch",
@@ -40,8 +41,7 @@ async def run(out: Path, *, seed: int, reporter: Reporter, running: bool) -> Non
     started_s = time.monotonic()
     settings = CliSettings()
     data_dir = settings.data_dir if running else out / "data"
-    is_own = not running and data_dir.resolve() == settings.data_dir.resolve()
-    output_folder.prepare(out, keep=None if is_own else settings.data_dir)
+    output_folder.prepare(out, keep=settings.data_dir)
     about_s = sum(part.about_s for part in _PARTS) + _READY_ABOUT_S
     stopped = "the demo" if running else "everything"
     reporter.line(
@@ -85,7 +85,8 @@ def _say_what_is_where(reporter: Reporter, out: Path, data_dir: Path, *, total_s
     else:
         reporter.line("All services have stopped. Try next; Ctrl-C stops `freerein up`:")
         found = "" if shutil.which("freerein") else f"PATH={Path(sys.executable).parent}:$PATH "
-        reporter.line(f"  export {found}FREEREIN_DATA_DIR={data_dir}  # in both terminals")
+        reporter.line(f"  cp -r {data_dir} {_COPY}  # the next demo empties {out}")
+        reporter.line(f"  export {found}FREEREIN_DATA_DIR={_COPY}  # in both terminals")
         reporter.line("  freerein up  # and open the page at the address it prints")
     for command in _TRY_NEXT:
         reporter.line(f"  {command}")
