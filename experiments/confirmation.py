@@ -111,7 +111,7 @@ def _methods(world: _World) -> tuple[Method, ...]:
     whole = objectives("lse", "mil", "fcn_mil", "ccnn", "lse_per_timestep", contexts=(WHOLE,))
     compared = (
         *objectives("lse", contexts=(CAUSAL,)),
-        *(others if world.task == "dial" else repeated(1, *others)),
+        *(others if world.task in _SHIPPED else repeated(1, *others)),
         *(repeated(1, *whole) if world.claims_gap else ()),
     )
     return (
