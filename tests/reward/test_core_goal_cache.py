@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
+import orjson
 import pytest
 
 from freerein.goal_text import Grammar
@@ -55,6 +56,18 @@ def test_distinct_goals_without_end_take_no_more_memory_than_allowed() -> None:
     assert 0.9 * 100_000 < cache.held_bytes <= 100_000
     assert len(cache) * FEATURES * 4 < cache.held_bytes
     assert cache.embed(REF, model, ["goal 1"])["goal 1"].vector[0] == len("goal 1")
+
+
+@pytest.mark.fault("R4")
+def test_texts_that_came_to_hold_their_utf_8_form_count_as_much_when_they_are_dropped() -> None:
+    cache, model = GoalCache(100_000), Lengths()
+
+    for number in range(300):
+        text = f"{number:04}" + "ü" * 500
+        cache.embed(REF, model, [text])
+        orjson.dumps(text)  # as every reply that names it
+
+    assert len(cache) < 100_000 / (2 * 500 + FEATURES * 4)
 
 
 @pytest.mark.fault("R4")

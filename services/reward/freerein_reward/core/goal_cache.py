@@ -1,6 +1,5 @@
 """LRU cache of goal embeddings, bounded in bytes: a task scores thousands of frames against the same few texts."""
 
-import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,7 +12,8 @@ from freerein.types.common import ModelRef
 from freerein_reward.core.models import RewardModel
 
 _TEXTS_AT_ONCE = 128
-_ENTRY_BYTES = 500  # upper bound of Python's overhead per entry
+_CHARACTER_BYTES = 8  # at most 4 in the text, and 4 in the UTF-8 form that it may come to hold
+_ENTRY_BYTES = 600  # upper bound of Python's overhead per entry
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,4 +81,4 @@ def _embed(model: RewardModel, texts: Sequence[str]) -> Iterator[tuple[str, Goal
 
 
 def _size(text: str, embedding: GoalEmbedding) -> int:
-    return sys.getsizeof(text) + embedding.vector.nbytes + _ENTRY_BYTES
+    return _CHARACTER_BYTES * len(text) + embedding.vector.nbytes + _ENTRY_BYTES
