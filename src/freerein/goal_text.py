@@ -129,7 +129,7 @@ class GoalText:
     Attributes:
         text: What the model is given: the statement's caption, or the text itself, of a grounding model the words that
             it was trained on.
-        rivals: What it says with each other relation; empty without a relation.
+        rivals: What it says with each other relation; empty without a relation, and of a grounding model.
         statement: The relation that it states; None where it states none, as by a grammar of criteria.
         unknown: Words that the model does not know, distinct and in order, at most `MAX_UNKNOWN` of at most
             `MAX_UNKNOWN_CHARACTERS` characters each. Empty for a statement.
@@ -181,7 +181,7 @@ class Grammar:
             return GoalText(absence, (), None, ())
         strange = words_outside(said, self._known)
         unknown = strange or words_outside(said, self._embedded)
-        rivals = _rivals(said) if unknown or not self._phrases else ()
+        rivals = _rivals(said) if unknown and self._phrases else ()
         nearest = self._nearest.find(said, strange)
         told = " ".join(word for word in said if word not in self._untold) if self._untold.intersection(said) else text
         return GoalText(told or text, rivals, None, unknown, caption(*nearest) if nearest else "")
@@ -229,10 +229,10 @@ def ask_back(did_you_mean: str, otherwise: str) -> str:
 
 
 def not_known(unknown: Words, did_you_mean: str, *, field: str) -> InvalidInput:
-    """Returns the error of a goal text with unknown words."""
+    """Returns the error of a text with unknown words, a goal text or a rival by its field."""
     example = "Relate two noun phrases of the model in English, such as: the red block is on the blue one."
     return InvalidInput(
-        f"The model must know every word of the goal text; it does not know {', '.join(unknown)}.",
+        f"The model must know every word of `{field}`; it does not know {', '.join(unknown)}.",
         field=field,
         hint=ask_back(did_you_mean, example),
     )

@@ -149,7 +149,7 @@ def test_a_name_must_fit_one_phrase_only() -> None:
 
 def test_the_words_of_the_grammar_are_known_to_a_model_without_phrases() -> None:
     read = Grammar((), ("a", "red", "block")).read("put a red block on the zeppelin")
-    assert (read.statement, read.unknown) == (None, ("zeppelin",))
+    assert (read.statement, read.unknown, read.rivals) == (None, ("zeppelin",), ())
     near = Grammar((), ("a", "red", "block"), untold=["close"]).read("a red block close to a block")
     assert (near.text, near.unknown) == ("a red block a block", ())
 

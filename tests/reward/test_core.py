@@ -20,7 +20,9 @@ from freerein.serving.model_cache import ModelCache
 from freerein.types.common import ModelRef
 from freerein.types.reward import EmbedGoalRequest, RewardRequest
 from freerein_reward.core import GoalCache, Inference, RewardCore
-from freerein_reward.model import ImageEmbeddings
+from freerein_reward.model import ImageEmbeddings, ImportedGrounding, load_built_in
+from freerein_reward.model.imported_grounding import Calibration
+from freerein_reward.model.vision_language import BuiltIn
 
 COLOURS = ("red", "green", "blue")
 CACHE_BYTES = 2**20
@@ -109,7 +111,7 @@ async def test_a_frame_is_rewarded_where_the_goal_text_beats_every_rival(start: 
 async def test_a_tie_is_no_win_so_that_a_goal_that_says_nothing_is_never_reached(start: Start) -> None:
     rewarder = await start(Colours("top"))
 
-    answer = await rewarder.reward(RewardRequest("a thing", {"top": frames("red")}, rivals=("another",)))
+    answer = await rewarder.reward(RewardRequest("a thing", {"top": frames("red")}, rivals=("a block",)))
 
     assert (answer.rewards[0], answer.winners[0]) == (0.0, 1)
 
@@ -155,6 +157,16 @@ async def test_a_goal_text_with_unknown_words_wins_nothing_and_its_similarity_st
     assert answers[1].rewards.tolist() == answers[1].similarities.tolist() == answers[0].similarities.tolist()
     assert answers[1].rewards[0] > 0.9
     assert [answer.in_distribution.tolist() for answer in answers] == [[0], [0]]
+
+
+async def test_a_rival_with_unknown_words_is_refused_by_its_index(start: Start) -> None:
+    rewarder, goal = await start(Colours("top")), "a red block on top of a blue block"
+    rivals = ("blue", "a red blok below a blue block")
+    for mode in ("binary", "raw"):
+        with pytest.raises(InvalidInput, match=r"every word of `rivals.1`; it does not know blok\.") as caught:
+            await rewarder.reward(RewardRequest(goal, TOP_RED, rivals=rivals, mode=mode))
+        assert caught.value.field == "rivals.1"
+        assert caught.value.hint == "Did you mean: a red block below a blue block?"
 
 
 async def test_a_frame_of_other_proportions_than_those_of_the_fit_is_refused(start: Start) -> None:
@@ -285,7 +297,7 @@ async def test_lone_frames_share_a_batch_and_get_what_they_would_get_alone(start
     model = Colours("top")
     rewarder = await start(model)
     colours = ("red", "green", "blue") * 10
-    requests = [RewardRequest(c, {"top": frames(c)}, rivals=("grey",), mode="raw") for c in colours]
+    requests = [RewardRequest(c, {"top": frames(c)}, rivals=("apart",), mode="raw") for c in colours]
     alone = [await rewarder.reward(request) for request in requests]
     model.frames_per_call.clear()
 
@@ -340,6 +352,20 @@ async def test_the_parts_of_a_call_add_up_to_its_time(start: Start) -> None:
     parts = (timing.queue_ns, timing.decode_ns, timing.infer_ns, timing.encode_ns)
     assert min(parts) >= 0
     assert sum(parts) == timing.total_ns
+
+
+async def test_an_imported_model_gives_the_base_reward_for_a_text_as_it_is(start: Start) -> None:
+    store = ModelStore(Path(__file__).parents[2] / "models/reward")
+    shipped = load_built_in(store.folder(ModelRef("grounding", store.active_version("grounding"))), "cpu")
+    calibration = Calibration(shipped.known_phrases, shipped.presence_heat)
+    rewarder = await start(ImportedGrounding(BuiltIn(shipped.network), calibration, place="centroid"))
+    text = "Not a red mug to the left of a blue block"
+
+    answer = await rewarder.reward(RewardRequest(text, {"any": frames("red", "blue")}, mode="raw"))
+
+    assert (answer.texts, answer.unknown, answer.rewards.shape) == ((text,), (), (2,))
+    with pytest.raises(InvalidInput, match="must name a reward model"):
+        await rewarder.reward(RewardRequest(text, TOP_RED))
 
 
 async def test_a_model_of_the_other_kind_is_refused(start: Start) -> None:

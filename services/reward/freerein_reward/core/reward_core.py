@@ -47,8 +47,8 @@ class RewardCore:
         """Returns the reward of every frame for a goal text (section 4.2), read by the model's grammar.
 
         Raises:
-            InvalidInput: A text or a frame is invalid, a camera is missing, a binary reward has no rivals, or the model
-                is a grounding model and the mode is not raw.
+            InvalidInput: A text or a frame is invalid, the model does not know a word of a rival, a camera is missing,
+                a binary reward has no rivals, or the model is a grounding model and the mode is not raw.
             TooLarge: There are too many frames.
             OutputNotFinite: The model overflowed.
             NotFound, FailedPrecondition: There is no such model, or no active one.
@@ -157,12 +157,19 @@ def _views(
 
 
 def _rivals(request: RewardRequest | RewardHello, goal: GoalText, grammar: Grammar) -> tuple[str, ...]:
-    read = (_read(each, grammar, field=f"rivals.{index}") for index, each in enumerate(request.rivals))
-    rivals = tuple(each.text for each in read)
+    rivals = tuple(_rival(each, grammar, field=f"rivals.{index}") for index, each in enumerate(request.rivals))
     check_distinct(rivals, goal.text)
     if not rivals and not goal.rivals and request.mode == "binary":
         raise _no_rivals(goal)
     return rivals or goal.rivals
+
+
+def _rival(text: str, grammar: Grammar, *, field: str) -> str:
+    """Returns a rival as it was read; a goal would beat one of words without meaning by chance."""
+    said = _read(text, grammar, field=field)
+    if said.unknown and grammar.states_goals:
+        raise not_known(said.unknown, said.did_you_mean, field=field)
+    return said.text
 
 
 def _no_rivals(goal: GoalText) -> InvalidInput:

@@ -6,7 +6,7 @@
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -55,8 +55,8 @@ class OpenGrammar(Grammar):
         super().__init__((), ())
 
     def read(self, text: str) -> GoalText:
-        """Returns the reading of a text; no word is unknown."""
-        return replace(super().read(text), unknown=())
+        """Returns a text as it is; no word is unknown."""
+        return GoalText(text, (), None, ())
 
     def unknown_words(self, _phrases: Any) -> Words:
         """Returns no words."""
@@ -68,9 +68,11 @@ class ImportedGrounding(PhraseLocator):
 
     Attributes:
         cameras: One empty name: any image.
+        aspects: None: frames of any proportions.
     """
 
     cameras = ("",)
+    aspects: Mapping[str, float] = MappingProxyType({})
 
     def __init__(self, model: VisionLanguageModel, calibration: Calibration, *, place: str) -> None:
         self.vision_language = model
