@@ -526,6 +526,22 @@ async def test_a_stream_that_ends_while_requests_are_sent_ends_as_the_service_sa
             assert [reply async for reply in client.connect(requests())] == []
 
 
+async def test_of_a_stream_that_the_service_ended_no_more_requests_are_taken(channel: Channel) -> None:
+    waiting = asyncio.Queue[sim.ConnectRequest]()
+
+    async def requests() -> AsyncIterator[sim.ConnectRequest]:
+        while True:
+            yield await waiting.get()
+
+    last = sim.ConnectRequest(step=sim.StepRequest(SESSION, LAST_STEP, np.zeros((1, 2), np.float32)))
+    waiting.put_nowait(last)
+    assert [reply async for reply in SimClient(channel).connect(requests())] == []
+
+    waiting.put_nowait(last)
+    await SegmentationClient(channel).list_skills(SKILLS)
+    assert waiting.qsize() == 1
+
+
 async def test_a_message_of_a_stream_over_the_limit_is_too_large(channel: Channel) -> None:
     async def requests() -> AsyncIterator[sim.ConnectRequest]:
         yield sim.ConnectRequest(

@@ -1,5 +1,7 @@
 """Errors that name a client's field stay within the size limits of REST and gRPC replies."""
 
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +12,7 @@ import pytest
 from freerein import wire
 from freerein.api.reward.v1 import reward_pb2
 from freerein.clients import Channel, RewardClient
-from freerein.errors import InvalidInput, NotFound, must_be, quoted
+from freerein.errors import InvalidInput, ModelFault, NotFound, must_be, quoted
 from freerein.serving.error_replies import close_reason
 from freerein.serving.grpc_server import GrpcServer
 from freerein.serving.health import Health
@@ -31,19 +33,40 @@ METHODS = methods_of(reward_pb2.DESCRIPTOR.services_by_name["RewardService"], CO
 LONG = pytest.mark.parametrize("character", ["x", '"', "\\", "\n", "\x01", "é", "\u2028", "\U0001f600"], ids=ascii)
 
 
-@LONG
-async def test_over_grpc_a_name_of_any_length_is_an_invalid_input(character: str) -> None:
-    server = GrpcServer(METHODS, health=Health(), metrics=Metrics(), limits=Limits())
+@asynccontextmanager
+async def calling(methods: Any) -> AsyncIterator[RewardClient]:
+    """A client of a gRPC server of these methods."""
+    server = GrpcServer(methods, health=Health(), metrics=Metrics(), limits=Limits())
     port = server.server.add_insecure_port("127.0.0.1:0")
     await server.server.start()
     try:
         async with RewardClient(Channel(f"127.0.0.1:{port}")) as client:
-            with pytest.raises(InvalidInput) as error:
-                await client.reward(refused(20_000 * character))
+            yield client
     finally:
         await server.server.stop(None)
+
+
+@LONG
+async def test_over_grpc_a_name_of_any_length_is_an_invalid_input(character: str) -> None:
+    async with calling(METHODS) as client:
+        with pytest.raises(InvalidInput) as error:
+            await client.reward(refused(20_000 * character))
     assert error.value.field == "frames"
     assert error.value.hint
+
+
+async def test_what_the_model_failed_on_is_not_sent_again() -> None:
+    calls = []
+
+    async def fail(request: Any) -> Any:
+        calls.append(request)
+        raise ModelFault("The model failed.")
+
+    core = SimpleNamespace(**(vars(CORE) | {"reward": fail}))
+    async with calling(methods_of(reward_pb2.DESCRIPTOR.services_by_name["RewardService"], core)) as client:
+        with pytest.raises(ModelFault):
+            await client.reward(RewardRequest("a red block"))
+    assert len(calls) == 1
 
 
 @LONG

@@ -154,6 +154,8 @@ class Rpc(Generic[Request, Response, Blocking]):
             raise
         finally:
             stream.cancel()
+            if requests := getattr(stream, "_async_request_poller", None):
+                requests.cancel()  # gRPC would take one more of a call that the service has ended
 
     def _unpacked(self, message: Message) -> Response:
         try:

@@ -11,13 +11,14 @@ from google.rpc import error_details_pb2, status_pb2
 from grpc_status import rpc_status
 from starlette.responses import Response
 
-from freerein.errors import Internal, ServiceError
+from freerein.errors import Internal, ModelFault, ServiceError
 from freerein.serving.rest.wording import with_paths
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 GRPC_DOMAIN = "freerein"
 _MAX_TEXT_BYTES = 800  # per field: documents stay below 4 KiB, gRPC metadata below the 8 KiB that clients accept
 _MAX_REASON_BYTES = 123  # of a close frame
+_NO_RETRY = ("grpc-retry-pushback-ms", "-1")
 TITLES = {
     400: "Malformed request",
     401: "Unauthenticated",
@@ -99,12 +100,16 @@ def close_reason(error: ServiceError) -> str:
 
 
 async def abort_grpc(context: "grpc.aio.ServicerContext[object, object]", error: ServiceError, request_id: str) -> None:
-    """Ends a gRPC call with an error: ErrorInfo always, RetryInfo when a retry can help. Never returns."""
+    """Ends a gRPC call with an error: ErrorInfo always, RetryInfo when a retry can help. Never returns.
+
+    Clients do not try again what the model failed on: the same request would count as several failures.
+    """
     code, detail = grpc.StatusCode[error.grpc_status], _sanitised(error.detail)
     status = status_pb2.Status(code=code.value[0], message=detail, details=_grpc_details(error, request_id))
     error.__traceback__ = None  # gRPC keeps the error with the call, in a cycle: not the frames and their images, too
+    metadata = (*rpc_status.to_status(status).trailing_metadata, *[_NO_RETRY] * isinstance(error, ModelFault))
     try:
-        await context.abort(code, detail, rpc_status.to_status(status).trailing_metadata)
+        await context.abort(code, detail, metadata)
     except grpc.aio.InternalError:  # the client is gone, or its deadline ended just now
         raise asyncio.CancelledError from None
 
