@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from freerein.data import DatasetSpec, create, dataset_path
+from freerein.data import DatasetSpec, create, dataset_path, save_teachers
 from freerein.errors import InvalidInput, NotFound
 from freerein.learning import tensor_files
 from freerein.model_store import ModelStore
@@ -101,6 +101,22 @@ def test_a_policy_copies_the_recognizer_that_its_fit_names(
         for each in (policy, recognizer)
     ]
     np.testing.assert_array_equal(*said)
+    shutil.rmtree(data_dir / "fit")
+
+
+@pytest.mark.parametrize(
+    "fit",
+    [POLICY | {"method": "inverse_model"}, {"method": "goal_cloning", "features": 8}, RECOGNIZER],
+    ids=lambda fit: fit["method"],
+)
+def test_a_card_says_what_policies_that_explored_were_trained_with_and_that_it_was_privileged(
+    data_dir: Path, run_fit: Callable[..., Path], fit: dict[str, Any]
+) -> None:
+    explored = shutil.copytree(dataset_path(data_dir, "play"), dataset_path(data_dir, "explored"), dirs_exist_ok=True)
+    save_teachers(explored, [{"supervision": "the true reward", "privileged": True}])
+    card = json.loads((run_fit(data_dir, "explored", fit | {"steps": 2, "batch_size": 2}) / "card.json").read_text())
+    assert card["privileged"] is True
+    assert "of policies with this supervision: the true reward" in card["supervision"]
     shutil.rmtree(data_dir / "fit")
 
 

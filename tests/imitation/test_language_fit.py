@@ -25,8 +25,8 @@ from freerein.types.imitation import ActRequest, GetSpecRequest
 from freerein_imitation.core import ActService, PolicyRunner
 from freerein_imitation.export import export_policy
 from freerein_imitation.methods import METHODS
-from freerein_imitation.methods.language.method import supervision_of
 from freerein_imitation.methods.language.texts import minilm
+from freerein_imitation.methods.shared.supervision import supervision_of
 
 Vector = npt.NDArray[np.float32]
 Encode = Callable[[str], Vector]
@@ -94,11 +94,11 @@ def test_a_card_tells_what_taught_the_policies_that_acted_and_whether_that_was_p
     learned = {"supervision": "goal text", "privileged": False}
     oracle = {"supervision": "the true reward", "privileged": True}
     told = {
-        "goal text": supervision_of([learned, learned]),
-        "goal text; or: the true reward": supervision_of([oracle, learned]),
-        "unknown": supervision_of([{"supervision": None, "privileged": None}]),
+        "goal text": supervision_of("images", [learned, learned]),
+        "goal text; or: the true reward": supervision_of("images", [oracle, learned]),
+        "unknown": supervision_of("images", [{"supervision": None, "privileged": None}]),
     }
-    start = "images, executed actions and goal texts of policies with this supervision: "
+    start = "images of policies with this supervision: "
     assert [card["supervision"] for card in told.values()] == [start + theirs for theirs in told]
     assert [card["privileged"] for card in told.values()] == [False, True, False]
 

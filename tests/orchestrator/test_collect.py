@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from freerein.clients import Channel, SimClient, SyncClient
-from freerein.data import Dataset, dataset_path
+from freerein.data import Dataset, dataset_path, read_teachers
 from freerein.data.dataset_recorder import DatasetRecorder
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.learning.actor_critic.networks import ActorCriticSpec
@@ -130,7 +130,7 @@ def test_a_child_killed_and_a_sim_killed_leave_the_dataset_of_an_undisturbed_run
 def walkers(collect: Callable[..., Any], tmp_path: Path) -> list[dict[str, Any]]:
     """Parts of a mix: a policy that was never trained, greedy and sampled under conditions, and random actions."""
     spec = ActorCriticSpec(action_choices=5, height=33, width=30, hidden_size=4, feature_size=8)
-    card = {"camera": "top", "reward": "curiosity", "supervision": "none", "figures": {"timesteps": 64}}
+    card = {"camera": "top", "reward": "oracle", "supervision": "all", "privileged": True, "figures": {"timesteps": 64}}
     network = init_network(spec, torch.Generator().manual_seed(0))
     network.calibrate(torch.zeros(2, 33, 30, 3, dtype=torch.uint8))
     save_policy(network, tmp_path / "runs" / "walker" / "artifacts", card=card)
@@ -152,6 +152,11 @@ def test_a_mix_has_its_parts_in_shares_and_says_what_their_policies_learned_from
     assert [each["learned_timesteps"] for each in card["parts"]] == [64, 64, 0]
     assert [each["conditions"] for each in card["parts"]] == [[], ["warm"], []]
     assert [each["task"] for each in card["parts"]] == ["", "", "grid-no-indicator"]
+    own = {
+        name: card["parts"][0][name] for name in ("sha256", "reward", "supervision", "privileged", "learned_timesteps")
+    }
+    assert read_teachers(dataset_path(tmp_path, "mix")) == [{"task": "grid", **own}] * 2
+    assert own["privileged"] is True
     dataset = Dataset(dataset_path(tmp_path, "mix"))
     parts = np.repeat(parts_of_rounds(run.config, dataset.lengths.tolist()), 2)[: len(dataset)]
     chosen = [{int(a) for i in np.flatnonzero(parts == part) for a in dataset.actions(i)[:, 0]} for part in range(3)]

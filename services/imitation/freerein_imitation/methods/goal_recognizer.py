@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from freerein.config import bounded, one_of
+from freerein.data import read_teachers
 from freerein.errors import InvalidInput
 from freerein.learning import weights
 from freerein.learning.encoders import ENCODERS, FrameTensors
@@ -35,6 +36,7 @@ from freerein_imitation.methods.shared.goal_images.recognizer_losses import (
     recognized_ahead,
     sampled_recognizer_loss,
 )
+from freerein_imitation.methods.shared.supervision import supervision_of
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.torch_policy import StepInputs, StepOutputs, TorchPolicy, confidence, loader
 
@@ -174,7 +176,8 @@ def _card(
 ) -> dict[str, Any]:
     threshold = reached_threshold(fitted.network.recognizer, learner.validation)
     control = ControlSpec(source.dataset.spec.control_dt_s, threshold, 2 * learner.config.far_steps)
-    return {**control.to_card(), "supervision": "images of exploration, and how many actions lie between them"}
+    own = "images of exploration, and how many actions lie between them"
+    return {**control.to_card(), **supervision_of(own, read_teachers(source.root))}
 
 
 _load = loader(GoalRecognizerPolicy, GoalRecognizerSpec, GoalRecognizerNetwork)

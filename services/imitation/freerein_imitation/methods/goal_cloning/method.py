@@ -4,6 +4,7 @@ from typing import Any
 
 import torch
 
+from freerein.data import read_teachers
 from freerein.errors import InvalidInput
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
@@ -13,6 +14,7 @@ from freerein_imitation.methods.goal_cloning.config import GoalCloningConfig
 from freerein_imitation.methods.goal_cloning.losses import GoalCloningLearner
 from freerein_imitation.methods.goal_cloning.network import GoalCloningNetwork, GoalCloningSpec
 from freerein_imitation.methods.goal_cloning.policy import GoalCloningPolicy
+from freerein_imitation.methods.shared.supervision import supervision_of
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.torch_policy import loader
 
@@ -37,7 +39,7 @@ def _card(source: FitDataset, learner: GoalCloningLearner, fitted: FitResult[Goa
     return {
         **control.to_card(),
         "figures": fitted.figures | figures,
-        "supervision": "images and executed actions of exploration",
+        **supervision_of("images and executed actions of exploration", read_teachers(source.root)),
         "warnings": learner.warnings(fitted.network),
     }
 

@@ -1,7 +1,7 @@
 """The method `language`."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from freerein_imitation.methods.language.network import LanguageNetwork, Languag
 from freerein_imitation.methods.language.policy import TEXT_ENCODER_FILE, TEXTS_FILE, LanguagePolicy, text_encoder_entry
 from freerein_imitation.methods.language.recognizer import least_probability
 from freerein_imitation.methods.language.texts import minilm
+from freerein_imitation.methods.shared.supervision import supervision_of
 from freerein_imitation.model.policy import NEVER_REACHED, ControlSpec
 
 _TEXTS_IN_CARD = 64
@@ -99,7 +100,7 @@ def _card(source: FitDataset, learner: LanguageLearner, fitted: FitResult[Langua
         **ControlSpec(source.dataset.spec.control_dt_s, threshold, learner.config.max_steps_per_goal).to_card(),
         "figures": {**fitted.figures, "action_loss": fitted.validation_loss, **figures},
         "goal_texts": {"count": len(texts), "first": texts[:_TEXTS_IN_CARD]},
-        **supervision_of(read_teachers(source.root), is_judged=learner.spec.predicts_reached),
+        **supervision_of(_supervision(is_judged=learner.spec.predicts_reached), read_teachers(source.root)),
         **text_encoder_entry(minilm.NAME, learner.text_encoder),
         **({"eye": {"model": found[1]["model"], "locates": list(found[0].spec.phrases)}} if found else {}),
     }
@@ -128,18 +129,10 @@ def _files(learner: LanguageLearner) -> Mapping[str, bytes]:
     return {TEXT_ENCODER_FILE: learner.text_encoder, TEXTS_FILE: json.dumps(texts).encode()}
 
 
-def supervision_of(teacher_cards: Sequence[Mapping[str, Any]], *, is_judged: bool = False) -> dict[str, Any]:
-    """Returns the card's entries on supervision: the dataset's, and that of the policies that acted in it, if any.
-
-    `is_judged`: whether a learned reward chose the frames that show the goal.
-    """
-    supervision = "images, executed actions and goal texts"
-    if is_judged:
-        supervision += ", and which frames a learned reward rewards,"
-    if teacher_cards:
-        theirs = sorted({str(card.get("supervision") or "unknown") for card in teacher_cards})
-        supervision += f" of policies with this supervision: {'; or: '.join(theirs)}"
-    return {"supervision": supervision, "privileged": any(card.get("privileged") is True for card in teacher_cards)}
+def _supervision(*, is_judged: bool) -> str:
+    """Returns the supervision by the dataset; `is_judged`: a learned reward chose the frames that show the goal."""
+    judged = ", and which frames a learned reward rewards," if is_judged else ""
+    return f"images, executed actions and goal texts{judged}"
 
 
 METHOD = Method(LanguageConfig, _check, _prepare, _card, LanguagePolicy.load, complete=_complete, files=_files)

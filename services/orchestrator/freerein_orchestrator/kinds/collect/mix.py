@@ -14,7 +14,7 @@ from typing import Any
 
 from freerein.clients import SyncClient
 from freerein.clients.tasks import find_task
-from freerein.data import Dataset, DatasetSpec
+from freerein.data import Dataset, DatasetSpec, save_teachers
 from freerein.data.dataset_recorder import dataset_spec, recording
 from freerein.errors import InvalidInput, quoted
 from freerein.learning.actor_critic.policy_files import StoredPolicy
@@ -58,7 +58,10 @@ def record_mix(context: RunContext, config: CollectConfig, root: Path) -> list[d
         **json.loads(json.dumps(asdict(config))),
         "policies": [each["sha256"] for each in cards],
     }
+    acting = zip(config.mix, named, cards, strict=True)
+    teachers = [{"task": name, **card} for part, name, card in acting if not part.is_random]
     with recording(root, spec, request) as writer:
+        save_teachers(root, teachers)
         lengths = Dataset(root).lengths.tolist() if len(writer) else []
         metrics = context.metrics_logger(min(len(lengths), config.count - 1))
         while len(lengths) < config.count:
@@ -185,11 +188,12 @@ def _load(context: RunContext, parts: Sequence[MixPart]) -> list[StoredPolicy | 
 def _describe(policy: StoredPolicy | None) -> dict[str, Any]:
     """Returns a policy's description and supervision, JSON; `learned_timesteps` are not among those recorded."""
     if policy is None:
-        return {"sha256": "", "reward": "", "supervision": "none", "learned_timesteps": 0}
+        return {"sha256": "", "reward": "", "supervision": "none", "privileged": False, "learned_timesteps": 0}
     card = policy.card
     return {
         "sha256": card["sha256"],
         "reward": card.get("reward", ""),
         "supervision": card.get("supervision", ""),
+        "privileged": card.get("privileged") is True,
         "learned_timesteps": card.get("figures", {}).get("timesteps", 0),
     }

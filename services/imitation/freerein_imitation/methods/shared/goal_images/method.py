@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 
 import torch
 
+from freerein.data import read_teachers
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.inputs import spec_of
 from freerein.learning.methods import Method
@@ -20,6 +21,7 @@ from freerein_imitation.methods.shared.goal_images.stored_recognizer import (
     active_recognizer,
     load_recognizer,
 )
+from freerein_imitation.methods.shared.supervision import supervision_of
 from freerein_imitation.model.policy import ControlSpec
 from freerein_imitation.model.torch_policy import loader
 
@@ -68,11 +70,14 @@ def goal_images_method(
         losses = learner.validation_losses(fitted.network)
         threshold, stored = learner.reached_threshold(fitted.network), learner.stored
         figures = {name: loss.item() for name, loss in losses.items() if name != "train_loss"}
-        copied = "" if stored is None else f"; those of its goal recognizer: {stored.card.get('supervision')}"
+        supervision = supervision_of(_SUPERVISION, read_teachers(source.root))
+        if stored is not None:
+            supervision["supervision"] += f"; those of its goal recognizer: {stored.card.get('supervision')}"
+            supervision["privileged"] |= stored.card.get("privileged") is True
         return {
             **ControlSpec(source.dataset.spec.control_dt_s, threshold, learner.max_steps_per_goal).to_card(),
             "figures": fitted.figures | figures,
-            "supervision": f"{_SUPERVISION}{copied}",
+            **supervision,
             **({} if stored is None else {"recognizer": stored.describe()}),
         }
 
