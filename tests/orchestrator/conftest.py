@@ -77,8 +77,8 @@ class LooseRun:
             return False
         return True
 
-    def check(self, *earlier: str) -> None:
-        """Checks what the run builds on, as before it is queued."""
+    def check(self, **earlier: str) -> None:
+        """Checks what the run builds on, as before it is queued; `earlier` are the kinds of steps by name."""
         self.kind.check(self.config, PolicyStore.open(self.data_dir, self.environ), earlier)
 
     def kill_when(self, is_time: Callable[[], bool]) -> None:

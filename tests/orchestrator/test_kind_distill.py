@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import torch
 
+from freerein.atomic_files import write_atomic
 from freerein.clients import Channel, RewardClient, SyncClient
 from freerein.data import Dataset, dataset_path, reached
-from freerein.errors import AlreadyExists, InvalidInput
+from freerein.errors import AlreadyExists, InvalidInput, NotFound
 from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.actor_critic.policy_files import StoredPolicy, load_policy, save_policy
 from freerein.learning.actor_critic.shared_object_encoder import load_object_encoder
@@ -23,6 +24,7 @@ from freerein.types.common import Camera, ModelRef
 from freerein.types.reward import RewardRequest
 from freerein_orchestrator.envs.episodes import Episode
 from freerein_orchestrator.kinds import KINDS
+from freerein_orchestrator.kinds.distill import _updates_before
 from freerein_orchestrator.kinds.distill.rollouts import relabelled
 from freerein_orchestrator.rl.initial_network import init_network
 from freerein_orchestrator.rl.object_encoder import load_reward_encoder
@@ -113,6 +115,32 @@ def test_a_run_killed_during_rollouts_and_during_its_fits_comes_to_the_same_data
     assert "fit/validation_loss" in killed.rows[-1]
 
 
+def test_the_curve_of_a_student_whose_service_chose_the_number_of_updates_is_kept(
+    distillation: Callable[..., Any], data_dir: Path
+) -> None:
+    run = distillation(**TWICE, config={})
+    assert not run.do(stop=dataset_path(data_dir, "rollouts.0").exists)  # no fit: imitation is away
+    fitted = {"step": 4 + 5000, "fit-0/validation_loss": 0.5}
+    with (run.folder / "metrics.jsonl").open("a") as metrics:
+        metrics.write(json.dumps(fitted) + "\n")
+    write_atomic(run.folder / "parts" / "fit-0" / "model.json", b'{"name": "language.0", "version": ""}')
+    run.context().tell_wait("")
+    assert not run.do(stop=lambda: bool(run.waiting))
+    assert run.rows[-1] == fitted
+    assert _updates_before(run.context(), run.config, 1) == 5000
+
+
+def test_another_dataset_of_the_name_that_an_iteration_needs_is_not_fitted_to(
+    distillation: Callable[..., Any], data_dir: Path
+) -> None:
+    run = distillation(**TWICE)
+    assert not run.do(stop=(run.folder / "rollouts" / "data").is_dir)
+    other = dataset_path(data_dir, "rollouts.0")
+    shutil.copytree(run.folder / "rollouts", other)
+    with pytest.raises(AlreadyExists):
+        run.do()
+
+
 @pytest.mark.fault("O14")
 def test_teachers_that_cannot_have_one_student_are_refused_with_the_difference_before_anything_is_done(
     distillation: Callable[..., Any], data_dir: Path
@@ -138,6 +166,8 @@ def test_teachers_that_cannot_have_one_student_are_refused_with_the_difference_b
         assert not (run.folder / "rollouts").exists()
     with pytest.raises(InvalidInput, match="student must have"):
         distillation(config={"cameras": ["front"]}).check()
+    with pytest.raises(InvalidInput, match="must be of the kind ppo; images is of the kind collect"):
+        distillation(teachers=["images"]).check(images="collect")
 
 
 def test_a_student_with_goal_eye_gets_its_first_teachers_object_encoder_with_the_phrases_that_it_locates(
@@ -167,6 +197,12 @@ def test_a_student_with_goal_eye_gets_its_first_teachers_object_encoder_with_the
 
     with pytest.raises(InvalidInput, match="it has an image encoder"):
         distillation(**lesson, teachers=["b" * 32], dataset="blind").check()
+    gone = {"name": "default", "version": "0" * 12}
+    teach(data_dir, "a" * 32, spec=replace(plain, eye=encoder.spec), **card | {"eye": gone})
+    orphan = distillation(**lesson, teachers=["a" * 32], dataset="orphan")
+    with pytest.raises(NotFound):
+        orphan.do()
+    assert not (orphan.folder / "rollouts").exists()
 
 
 @pytest.mark.parametrize("taken", ["rollouts", "rollouts.0"])
@@ -266,10 +302,11 @@ def test_only_rollouts_in_whose_last_frame_the_reward_model_sees_the_goal_are_ke
 
     card["goal_text"] = "a crimson block apart from a green block"
     teach(data_dir, "a" * 32, spec=spec, **card, model=model)
-    unknown = distillation(dataset="unknown", reward=address, teachers=["a" * 32], keep="rewarded")
-    with pytest.raises(InvalidInput, match="does not know crimson"):
-        unknown.do()
-    assert not (unknown.folder / "rollouts").exists()
+    for keep in ("all", "rewarded"):
+        unknown = distillation(dataset=f"unknown-{keep}", reward=address, teachers=["a" * 32], keep=keep)
+        with pytest.raises(InvalidInput, match="does not know crimson"):
+            unknown.do()
+        assert not (unknown.folder / "rollouts").exists()
 
     with pytest.raises(InvalidInput, match="got None"):
         distillation(teachers=["b" * 32], keep="rewarded").check()

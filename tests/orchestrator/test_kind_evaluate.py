@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput, NotFound
 from freerein.learning import weights
 from freerein.learning.actor_critic.networks import ActorCriticSpec
@@ -159,6 +160,26 @@ def test_a_missing_run_and_one_without_a_policy_are_refused(evaluation: Callable
         evaluation(RANDOM | {"policy": {"run": bare.folder.name}}).do()
     with pytest.raises(NotFound, match="got `nothing`"):
         evaluation(RANDOM | {"task": "nothing"}).do()
+
+
+def test_the_model_of_a_run_counts_once_the_run_has_succeeded_and_that_of_a_step_once_its_kind_makes_one(
+    evaluation: Callable[..., Any], tmp_path: Path
+) -> None:
+    folder = tmp_path / "runs" / ("a" * 32)
+    write_atomic(folder / "model.json", b'{"name": "inner", "version": ""}')
+    chosen = evaluation(RANDOM | {"policy": {"run": folder.name}})
+    for state in ("running", "failed"):
+        (folder / "events.jsonl").write_text(f'{{"state": "{state}"}}\n')
+        with pytest.raises(InvalidInput, match="must have made a policy"):
+            chosen.check()
+    (folder / "events.jsonl").write_text('{"state": "failed"}\n{"state": "succeeded"}\n')
+    chosen.check()
+
+    step = evaluation(RANDOM | {"policy": {"run": "step"}})
+    for kind in ("ppo", "fit", "distill"):
+        step.check(step=kind)
+    with pytest.raises(InvalidInput, match="must be of the kind ppo or fit or distill; step is of the kind label"):
+        step.check(step="label")
 
 
 def test_a_stored_policy_can_be_evaluated(evaluation: Callable[..., Any]) -> None:

@@ -79,7 +79,7 @@ def test_a_run_leaves_a_policy_a_card_and_metrics(ppo: Callable[..., Any], train
 
     more = ppo(init_from=RUN_ID, iterations=1)
     more.check()
-    ppo(init_from="earlier").check("earlier")
+    ppo(init_from="earlier").check(earlier="ppo")
     with pytest.raises(InvalidInput):
         ppo(init_from="earlier").check()
     assert more.do()
@@ -89,7 +89,7 @@ def test_a_run_leaves_a_policy_a_card_and_metrics(ppo: Callable[..., Any], train
 def test_a_run_goes_on_with_the_training_of_another(ppo: Callable[..., Any], trained: Any) -> None:
     more = ppo(resume_from=RUN_ID, iterations=1, lr=1e-4)
     more.check()
-    ppo(resume_from="earlier").check("earlier")
+    ppo(resume_from="earlier").check(earlier="ppo")
     assert more.do()
     figures = [run.artifact("policy.json")["figures"] for run in (trained, more)]
     assert [each["iterations"] for each in figures] == [2, 3]

@@ -106,7 +106,7 @@ def resolve(kind: str, config: Mapping[str, Any], data_dir: Path) -> Resolved:
     """
     chosen = find_kind(kind)
     parsed = chosen.parse(config)
-    chosen.check(parsed, PolicyStore.open(data_dir, os.environ), ())
+    chosen.check(parsed, PolicyStore.open(data_dir, os.environ), {})
     return Resolved(chosen.dump(parsed), chosen.steps(parsed))
 
 

@@ -1,6 +1,6 @@
 """A kind of run."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -36,7 +36,7 @@ class Kind(Generic[C]):
         steps: Returns the number of steps of a run.
         run: Does the work, or resumes it. Raises `Stopped` once the context says so; a `ServiceError` fails the run.
         check: Before a run is queued, raises InvalidInput if it builds on what does not exist or does not fit. Given
-            the stored policies and runs, and the names of earlier steps of the same pipeline. Calls no service.
+            the stored policies and runs, and the kinds of earlier steps of the same pipeline by name. Calls no service.
         dump: Returns a configuration as JSON values that `parse` reads.
         truth: Returns the privileged data that a run reads, itself or by a policy that it builds on, and their purpose;
             empty for none. It gets the configuration as it was dumped, maybe by an earlier version, and the stored
@@ -49,7 +49,7 @@ class Kind(Generic[C]):
     parse: Callable[[Mapping[str, Any]], C]
     steps: Callable[[C], int]
     run: Callable[[RunContext, C], None]
-    check: Callable[[C, PolicyStore, Collection[str]], None] = lambda _config, _store, _earlier: None
+    check: Callable[[C, PolicyStore, Mapping[str, str]], None] = lambda _config, _store, _earlier: None
     dump: Callable[[C], dict[str, Any]] = asdict
     truth: Callable[[Mapping[str, Any], PolicyStore], str] = lambda _config, _store: ""
     remote: RemoteWork[C] | None = None

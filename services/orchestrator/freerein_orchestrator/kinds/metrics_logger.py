@@ -1,7 +1,7 @@
 """A run's metrics: rows of JSON, which the orchestrator reads, and event files, which TensorBoard shows."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -10,9 +10,9 @@ from freerein.jobs.event_files import EventFile
 from freerein.jobs.metrics import MetricsWriter
 
 
-def last_step(folder: Path) -> int:
-    """Returns the step of the last row in a run's folder, 0 if there is none."""
-    return int(_last_row(folder).get("step", 0))
+def last_step(folder: Path, *, prefix: str = "") -> int:
+    """Returns the step of the last row in a run's folder that has a metric of a prefix, 0 if there is none."""
+    return int(_last_row(folder, prefix).get("step", 0))
 
 
 class MetricsLogger:
@@ -46,7 +46,8 @@ class MetricsLogger:
         self._events.append(int(metrics.get("timesteps", step)), metrics)
 
 
-def _last_row(folder: Path) -> dict[str, Any]:
+def _last_row(folder: Path, prefix: str = "") -> dict[str, Any]:
     path = folder / "metrics.jsonl"
-    rows = path.read_bytes().rpartition(b"\n")[0].splitlines() if path.is_file() else []
-    return dict(json.loads(rows[-1])) if rows else {}
+    lines = path.read_bytes().rpartition(b"\n")[0].splitlines() if path.is_file() else []
+    rows: Iterator[dict[str, Any]] = map(json.loads, reversed(lines))
+    return next((row for row in rows if any(name.startswith(prefix) for name in row)), {})

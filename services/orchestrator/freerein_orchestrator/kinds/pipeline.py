@@ -12,7 +12,7 @@ A fit is work of another service: it may begin before its turn, beside the steps
 import json
 import os
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -100,12 +100,12 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
     def steps(pipeline: Pipeline) -> int:
         return sum(kinds[step.kind].steps(step.config) for step in pipeline.steps)
 
-    def check(pipeline: Pipeline, store: PolicyStore, _earlier: Collection[str]) -> None:
-        earlier: list[str] = []
+    def check(pipeline: Pipeline, store: PolicyStore, _earlier: Mapping[str, str]) -> None:
+        earlier: dict[str, str] = {}
         for step in pipeline.steps:
             with _step_errors(step.name):
                 kinds[step.kind].check(step.config, store, earlier)
-            earlier.append(step.name)
+            earlier[step.name] = step.kind
 
     def truth(config: Mapping[str, Any], store: PolicyStore) -> str:
         truths = [kinds[step["kind"]].truth(step["config"], store) for step in config["steps"] if step["kind"] in kinds]

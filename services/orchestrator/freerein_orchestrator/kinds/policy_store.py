@@ -2,12 +2,13 @@
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from freerein.atomic_files import write_atomic
 from freerein.errors import InvalidInput, NotFound, quoted
+from freerein.jobs.json_lines import last_document
 from freerein.learning.actor_critic.policy_files import NAMES, StoredPolicy, load_policy
 from freerein.learning.model_files import read_card
 from freerein.model_store import CLONE_MODELS, ModelStore
@@ -134,6 +135,34 @@ class PolicyStore:
 
     def _pinned(self) -> Mapping[str, str]:
         return dict(json.loads(self.pins.read_bytes())) if self.pins is not None and self.pins.is_file() else {}
+
+
+def is_step(name: str, earlier: Mapping[str, str], kinds: Collection[str] = ("ppo",), *, field: str) -> bool:
+    """Returns whether a name is that of an earlier step of the same pipeline.
+
+    Args:
+        name: The name.
+        earlier: The kind of each earlier step, by name.
+        kinds: Kinds of steps that make what is needed.
+        field: The configuration's field that holds the name.
+
+    Raises:
+        InvalidInput: It is a step of another kind.
+    """
+    if name in earlier and earlier[name] not in kinds:
+        raise InvalidInput(
+            f"A step to build on must be of the kind {' or '.join(kinds)}; {name} is of the kind {earlier[name]}.",
+            field=field,
+            hint="Name another step, or the id of a run.",
+        )
+    return name in earlier
+
+
+def has_succeeded(run_folder: Path) -> bool:
+    """Returns whether a run, by its folder, has succeeded."""
+    events = run_folder / "events.jsonl"
+    last = last_document(events) if events.is_file() else None
+    return last is not None and last["state"] == "succeeded"
 
 
 def no_policy(*, field: str, hint: str) -> InvalidInput:

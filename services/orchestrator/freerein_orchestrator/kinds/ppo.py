@@ -7,7 +7,7 @@ privileged, to compare with, may take a privileged session.
       artifacts/     the policy, freerein.learning.actor_critic.policy_files, and a video of it
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
 from functools import partial
@@ -34,7 +34,7 @@ from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.finished_training import check_sims, find_training
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.observed_cameras import ObservedCameras
-from freerein_orchestrator.kinds.policy_store import PolicyStore
+from freerein_orchestrator.kinds.policy_store import PolicyStore, is_step
 from freerein_orchestrator.kinds.policy_video import can_film, save_video
 from freerein_orchestrator.kinds.ppo_config import RESUME_FIELD, PPORunConfig
 from freerein_orchestrator.rewards import REWARDS, make_rewards
@@ -86,15 +86,15 @@ def run(context: RunContext, config: PPORunConfig) -> None:
     save_policy(state.network, context.artifacts, card=_card(config, state, task))
 
 
-def check(config: PPORunConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+def check(config: PPORunConfig, store: PolicyStore, earlier: Mapping[str, str]) -> None:
     """Checks that the initial policy, or the training to go on with, exists and fits, or will exist.
 
     Raises:
         InvalidInput: It does not.
     """
-    if config.init_from and config.init_from not in earlier:
+    if config.init_from and not is_step(config.init_from, earlier, field=_FIELD):
         store.load(config.init_from, field=_FIELD)
-    if config.resume_from and config.resume_from not in earlier:
+    if config.resume_from and not is_step(config.resume_from, earlier, field=RESUME_FIELD):
         find_training(store, config.resume_from, config, field=RESUME_FIELD)
 
 

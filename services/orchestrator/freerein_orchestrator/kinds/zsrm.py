@@ -10,7 +10,7 @@ them, and a policy is trained by PPO on that reward alone. The policy is publish
 
 import json
 import shutil
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -175,7 +175,7 @@ def zsrm_kind(pipeline: Kind[Pipeline]) -> Kind[ZsrmRunConfig]:
     def steps(config: ZsrmRunConfig) -> int:
         return config.count + int(config.fit["steps"]) + config.training(config.text).iterations
 
-    def check(config: ZsrmRunConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+    def check(config: ZsrmRunConfig, store: PolicyStore, earlier: Mapping[str, str]) -> None:
         ppo.check(config.training(config.text), store, earlier)
 
     def truth(config: Mapping[str, Any], store: PolicyStore) -> str:

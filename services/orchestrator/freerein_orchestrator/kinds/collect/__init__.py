@@ -5,7 +5,7 @@
 """
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -18,7 +18,7 @@ from freerein_orchestrator.kinds.collect.mix import record_mix
 from freerein_orchestrator.kinds.collect.scripted import demonstrate
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind
-from freerein_orchestrator.kinds.policy_store import PolicyStore
+from freerein_orchestrator.kinds.policy_store import PolicyStore, is_step
 
 CARD = "dataset.json"
 """Artifact that describes the dataset: `dataset`, `task`, `conditions`, `trajectories`, `timesteps`, `fingerprint`.
@@ -55,14 +55,14 @@ def run(context: RunContext, config: CollectConfig) -> None:
     write_atomic(context.artifacts / CARD, json.dumps(card, indent=2).encode())
 
 
-def check(config: CollectConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+def check(config: CollectConfig, store: PolicyStore, earlier: Mapping[str, str]) -> None:
     """Checks that the policies of a mix exist or will.
 
     Raises:
         InvalidInput: One does not.
     """
     for part in config.mix:
-        if not part.is_random and part.policy not in earlier:
+        if not (part.is_random or is_step(part.policy, earlier, field=PARTS_FIELD)):
             store.folder(part.policy, field=PARTS_FIELD)
 
 

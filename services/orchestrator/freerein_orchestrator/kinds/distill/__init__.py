@@ -15,7 +15,7 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -39,7 +39,8 @@ from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.distill.rollouts import ROLLOUTS, Keep, RolloutPlan, record_rollouts
 from freerein_orchestrator.kinds.fit import FitRunConfig
 from freerein_orchestrator.kinds.kind import Kind
-from freerein_orchestrator.kinds.policy_store import PolicyStore
+from freerein_orchestrator.kinds.metrics_logger import last_step
+from freerein_orchestrator.kinds.policy_store import PolicyStore, is_step
 
 _TORCH_THREADS = 1
 _FIELD = "config.teachers"
@@ -119,9 +120,10 @@ def steps(config: DistillConfig) -> int:
     return (config.dagger_iterations + 1) * (_rollouts(config) + _updates(config))
 
 
-def check(config: DistillConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+def check(config: DistillConfig, store: PolicyStore, earlier: Mapping[str, str]) -> None:
     """Checks that the teachers exist, or will, and can have one student."""
-    if found := [store.load(name, field=_FIELD) for name in config.teachers if name not in earlier]:
+    made = [name for name in config.teachers if not is_step(name, earlier, field=_FIELD)]
+    if found := [store.load(name, field=_FIELD) for name in made]:
         _check_teachers(config, found)
 
 
@@ -145,15 +147,17 @@ def run(context: RunContext, config: DistillConfig) -> None:
         context.policies.pin(config.teachers)
         policies = [context.policies.load(name, field=_FIELD, device=context.device) for name in config.teachers]
         _check_teachers(config, policies)
+        phrases = _located_phrases(context, policies[0]) if config.needs_object_encoder else ()
         plan = RolloutPlan(config.rollouts, config.num_envs, config.stochastic, config.seed, config.keep)
         students = list(_fitted(context, config))
         for iteration in range(len(students), config.dagger_iterations + 1):
-            recording = replace(context, first_step=context.first_step + iteration * _updates(config))
+            recording = replace(context, first_step=context.first_step + _updates_before(context, config, iteration))
             record_rollouts(recording, policies, plan, students=students)
             cards = [{name: policy.card.get(name) for name in _TEACHER_CARD} for policy in policies]
             save_teachers(context.folder / ROLLOUTS, cards)
             if config.needs_object_encoder:
-                _save_object_encoder(context, policies[0])
+                folder = context.folder / ROLLOUTS / shared_object_encoder.FOLDER
+                shared_object_encoder.save_object_encoder(policies[0], phrases=phrases, folder=folder)
             if iteration < config.dagger_iterations:
                 _publish_copy(context, config.fit(iteration).dataset)
                 students.append(_fit(context, config, iteration))
@@ -170,10 +174,18 @@ def _updates(config: DistillConfig) -> int:
     return fit.KIND.steps(config.fit(0))
 
 
+def _updates_before(context: RunContext, config: DistillConfig, iteration: int) -> int:
+    """Returns the updates of the fits before an iteration: the service may choose their number."""
+    if not iteration:
+        return 0
+    last = last_step(context.run_folder, prefix=f"{context.prefix}fit-{iteration - 1}/")
+    return max(0, last - context.first_step - iteration * _rollouts(config))
+
+
 def _fit(context: RunContext, config: DistillConfig, iteration: int) -> ModelRef:
     """Fits the student of an iteration, or finds it, and returns it."""
     name = "fit" if iteration == config.dagger_iterations else f"fit-{iteration}"
-    first_step = (iteration + 1) * _rollouts(config) + iteration * _updates(config)
+    first_step = (iteration + 1) * _rollouts(config) + _updates_before(context, config, iteration)
     child = context.child(name, first_step=first_step)
     fit.run(child, config.fit(iteration))
     return ModelRef(**json.loads((child.folder / _MODEL).read_bytes()))
@@ -215,12 +227,10 @@ def _check_teachers(config: DistillConfig, policies: Sequence[StoredPolicy]) -> 
         )
 
 
-def _save_object_encoder(context: RunContext, teacher: StoredPolicy) -> None:
-    """Puts a teacher's object encoder into the dataset, with the phrases that its reward model knows."""
+def _located_phrases(context: RunContext, teacher: StoredPolicy) -> tuple[str, ...]:
+    """Returns the phrases that the reward model of a teacher's object encoder knows."""
     card = model_files.read_card(context.reward_models.folder(ModelRef(**teacher.card["eye"])))
-    phrases = tuple(map(str, card["spec"]["phrases"]))
-    folder = context.folder / ROLLOUTS / shared_object_encoder.FOLDER
-    shared_object_encoder.save_object_encoder(teacher, phrases=phrases, folder=folder)
+    return tuple(map(str, card["spec"]["phrases"]))
 
 
 def _check_names(context: RunContext, config: DistillConfig) -> None:
@@ -247,9 +257,15 @@ def _write_card(context: RunContext, config: DistillConfig, teachers: Sequence[M
 
 
 def _publish_copy(context: RunContext, name: str) -> None:
-    """Publishes the dataset as it is now, unless that is done; files are shared, for they are never changed."""
+    """Publishes the dataset as it is now, unless that is done; files are shared, for they are never changed.
+
+    Raises:
+        AlreadyExists: There is another dataset of that name.
+    """
     rollouts, target = context.folder / ROLLOUTS, dataset_path(context.data_dir, name)
     if target.exists():
+        if Dataset(target).fingerprint != Dataset(rollouts).fingerprint:
+            raise _name_taken()
         return
     target.parent.mkdir(parents=True, exist_ok=True)
     with temporary_folder(target.parent, prefix=".copy-") as staging:

@@ -82,12 +82,12 @@ def record_rollouts(
 
     Raises:
         Stopped: The run is to stop.
-        InvalidInput: The teachers' tasks have different actions, or a reward model that is to choose what to keep does
-            not know a word of its teacher's goal text.
+        InvalidInput: The teachers' tasks have different actions, or a reward model that is to judge frames does not
+            know a word of its teacher's goal text.
         FailedPrecondition: No rollout of a teacher was kept.
     """
     recording = _Recording(context, policies, plan, students)
-    if plan.keep == "rewarded" and not students:
+    if not students:
         recording.check_goal_texts()
     with recording.open() as writer:
         for number, each in enumerate(plan.rounds(len(policies))):
@@ -126,8 +126,8 @@ class _Recording:
         self._metrics = context.metrics_logger(self._episodes)
 
     def check_goal_texts(self) -> None:
-        """Raises InvalidInput where a reward model does not know a word of its teacher's goal text."""
-        for policy in self._policies:
+        """Raises InvalidInput where a reward model that judges frames does not know a word of its goal text."""
+        for policy in self._policies if self._is_judged else ():
             self._retry.call(partial(self._reward_of(policy).resolve, _rewarded(policy)))
 
     def open(self) -> Writer:

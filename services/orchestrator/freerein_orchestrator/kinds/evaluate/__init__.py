@@ -4,7 +4,7 @@
 `recipes`, `relations`, `segmentation`.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -53,7 +53,7 @@ def _parse(values: Mapping[str, Any]) -> FormConfig:
     return config
 
 
-def check(config: FormConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+def check(config: FormConfig, store: PolicyStore, earlier: Mapping[str, str]) -> None:
     """Checks what the form builds on."""
     FORMS[config.form].check(config, store, earlier)
 

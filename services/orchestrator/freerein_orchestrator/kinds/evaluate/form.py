@@ -235,7 +235,7 @@ class Form(Generic[C]):
 
     config: type[C]
     open: Callable[[Setup[C]], Evaluation]
-    check: Callable[[C, PolicyStore, Collection[str]], None] = lambda _config, _store, _earlier: None
+    check: Callable[[C, PolicyStore, Mapping[str, str]], None] = lambda _config, _store, _earlier: None
 
 
 def mean_figure(values: Sequence[float], *, seed: int, baseline: float | None = None) -> Figure:

@@ -1,7 +1,7 @@
 """The policies that can be evaluated: how a configuration names one, and how it is found."""
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -18,10 +18,12 @@ from freerein_orchestrator.envs.policies import (
 )
 from freerein_orchestrator.envs.random_policies import uniform_policy
 from freerein_orchestrator.kinds.evaluate.form import FormConfig, Setup
-from freerein_orchestrator.kinds.policy_store import PolicyStore, no_policy
+from freerein_orchestrator.kinds.policy_store import PolicyStore, has_succeeded, is_step, no_policy
 
 _FIELD = "config.policy"
 _RUN_FIELD = "config.policy.run"
+_MAKERS = ("ppo", "fit", "distill")
+"""Kinds of runs that make a policy or a model of the imitation service."""
 
 
 @dataclass(frozen=True)
@@ -143,20 +145,21 @@ def parse_policy(values: Mapping[str, Any]) -> NamedPolicy:
     return choice
 
 
-def check_policy(config: PolicyConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+def check_policy(config: PolicyConfig, store: PolicyStore, earlier: Mapping[str, str]) -> None:
     """Checks that the policy of a run, or the stored one, exists or will.
 
     Raises:
-        InvalidInput: It does not.
+        InvalidInput: It does not, or an earlier step is of a kind that makes none.
     """
     check_choice(config.choice, store, earlier)
 
 
-def check_choice(choice: PolicyChoice, store: PolicyStore, earlier: Collection[str]) -> None:
+def check_choice(choice: PolicyChoice, store: PolicyStore, earlier: Mapping[str, str]) -> None:
     """Checks a policy as `check_policy`."""
     match choice:
-        case RunPolicy(run=name) if name not in earlier:
-            _made_by_run(store, name, device="cpu")
+        case RunPolicy(run=name):
+            if not is_step(name, earlier, _MAKERS, field=_RUN_FIELD):
+                _made_by_run(store, name, device="cpu")
         case StoredModelPolicy(stored=name, version=version):
             store.model_folder(ModelRef(name, version), field=_FIELD)
 
@@ -205,7 +208,8 @@ def _made_by_run(store: PolicyStore, name: str, *, device: str) -> StoredPolicy 
     folder = store.run_folder(name, field=_RUN_FIELD)
     if (folder / "artifacts" / NAMES.card).is_file():
         return load_policy(folder / "artifacts", device=device)
-    if (folder / "model.json").is_file():
+    has_ended = folder.parent == store.siblings or has_succeeded(folder)
+    if has_ended and (folder / "model.json").is_file():  # which each fit of a run writes
         return ModelRef(**json.loads((folder / "model.json").read_bytes()))
     raise no_policy(
         field=_RUN_FIELD, hint="Name a ppo run that has succeeded, or one that made a model of the imitation service."

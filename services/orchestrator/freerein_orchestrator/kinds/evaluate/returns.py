@@ -4,7 +4,7 @@ Where the task has an expert and a goal, the expert's return in the same episode
 Where the task has predicates `start/WHAT`, figures are also split by them: `return_mean.WHAT`, `return_mean.not-WHAT`.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -188,7 +188,7 @@ class _GivenPolicy:
         return found
 
 
-def check(config: ReturnsConfig, store: PolicyStore, earlier: Collection[str]) -> None:
+def check(config: ReturnsConfig, store: PolicyStore, earlier: Mapping[str, str]) -> None:
     """Checks that the policy and the baseline exist or will."""
     check_policy(config, store, earlier)
     if (choice := config.baseline_choice) is not None:
