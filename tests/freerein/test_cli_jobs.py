@@ -200,6 +200,13 @@ def test_every_fit_says_what_to_do_next(service: str) -> None:
     assert all(_parses(shlex.split(each, comments=True)) for each in next_steps(service, fit))
 
 
+def test_a_reward_model_of_several_cameras_is_asked_with_an_image_of_each_and_not_audited() -> None:
+    fit = Fit("0" * 32, "succeeded", {"cameras": ["front", "left"]}, dataset="mine", model_name="own")
+    steps = next_steps("reward", fit)
+    assert steps[0] == "freerein reward front=IMAGE.png left=IMAGE.png --goal 'TEXT' --model own"
+    assert not any("--audit" in step for step in steps)
+
+
 def _parses(words: list[str]) -> bool:
     """Returns whether there is such a command with such options."""
     return words[0] == "freerein" and CliRunner().invoke(app, [*words[1:], "--help"]).exit_code == 0

@@ -84,6 +84,7 @@ def test_a_table_names_the_words_that_the_model_does_not_know_and_asks_back(fold
 
     named = "The model does not know crimson, amber: the goal is never rewarded."
     assert shown.stdout.splitlines()[-2:] == [named, "Did you mean: more on top of less?"]
+    assert "never" not in _run("reward", str(folder / "frames"), "--goal", "more crimson", "--raw").stdout
 
 
 def test_heatmaps_are_drawn_beside_the_image(folder: Path) -> None:
@@ -94,6 +95,9 @@ def test_heatmaps_are_drawn_beside_the_image(folder: Path) -> None:
         assert picture.size == (3 * 5 + 2 * 4, 4)
     assert [found["phrase"] for found in drawn["groundings"]] == ["a red block", "b"]
     assert drawn["groundings"][1]["x"] == pytest.approx(5 / 8)
+    alone = _json("reward", image, "--heatmap", str(out), "--phrase", "a red block", "--phrase", "b")
+    assert alone == [drawn]
+    assert "--goal must be given" in _run("reward", image, "--heatmap", str(out), "--phrase", "b", "--raw").output
 
 
 @pytest.mark.parametrize(
@@ -103,11 +107,16 @@ def test_heatmaps_are_drawn_beside_the_image(folder: Path) -> None:
         (["x.png", "--dataset", "demos"], "image"),
         (["no/where.png"], "image"),
         (["--dataset", "demos", "--index", "1"], "index"),
+        (["front=frames", "left=frames/0.png"], "image"),
+        (["frames", "--index", "0"], "index"),
         (["--dataset", "demos", "--heatmap", "out.png"], "heatmap"),
         (["--dataset", "demos", "--heatmap", "out.gif", "--phrase", "a"], "heatmap"),
     ],
 )
-def test_what_cannot_be_asked_is_an_error_that_names_the_option(folder: Path, words: list[str], field: str) -> None:
+def test_what_cannot_be_asked_is_an_error_that_names_the_option(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], field: str
+) -> None:
+    monkeypatch.chdir(folder)
     result = _run("reward", *words, *GOAL, "--json")
 
     assert result.exit_code == 1
@@ -162,6 +171,25 @@ def test_an_audit_says_precision_and_recall_beside_what_people_say(folder: Path)
         assert found[name]["value"] == (count / of if of else None)
     assert (found["unknown"], found["refused"]) == (["crimson"], ["more"])
     assert "never rewarded" in _run("reward", "--audit", str(folder / "frames")).stdout
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--rival", "less"), ("--raw",), ("--heatmap", "out.png"), ("--phrase", "b"), ("--index", "0"), ("x.png",)],
+    ids=" ".join,
+)
+def test_an_audit_is_given_no_option_that_it_would_ignore(folder: Path, words: tuple[str, ...]) -> None:
+    refused = _run("reward", "--audit", str(folder / "frames"), *words, "--json")
+    assert json.loads(refused.stderr)["error"]["field"] == "audit"
+
+
+def test_a_fit_to_several_cameras_is_refused_an_audit_before_it_begins(folder: Path) -> None:
+    (folder / "frames" / "audit.csv").write_text("image,text,holds\n0.png,more on less,no\n")
+    words = ("fit", "reward", "demos", "--audit", str(folder / "frames"), "--set", 'cameras=["top", "left"]')
+    refused = _run(*words, "--json")
+    detail = json.loads(refused.stderr)["error"]["detail"]
+    assert detail == "--audit must be of a model of one camera; got `top, left`."
+    assert _json("jobs", "list", "--service", "reward") == []
 
 
 @pytest.mark.parametrize(

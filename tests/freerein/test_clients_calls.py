@@ -23,8 +23,9 @@ from freerein.api.segmentation.v1 import segmentation_pb2_grpc
 from freerein.api.sim.v1 import sim_pb2_grpc
 from freerein.clients import Channel, FitClient, ModelClient, SegmentationClient, SimClient, retry_policy
 from freerein.clients.channel import MAX_MESSAGE_BYTES
+from freerein.clients.request_slices import request_slices
 from freerein.types import learning, segmentation, sim
-from freerein.types.common import ModelRef, Timing, Trajectory
+from freerein.types.common import Image, ModelRef, Timing, Trajectory
 
 SESSION = "0" * 32
 LAST_STEP = 99
@@ -427,6 +428,16 @@ async def test_a_request_over_the_limit_is_refused_before_it_is_sent(channel: Ch
     with pytest.raises(errors.TooLarge, match="at most 67108864 bytes; got 671088"):
         await SegmentationClient(channel).segment(request)
     assert peer.calls == []
+
+
+def test_many_images_are_sliced_by_number_bytes_and_pixels() -> None:
+    small, photo = (Image("raw_rgb8", *size, b"") for size in ((4, 4), (4_000, 3_000)))
+    heavy = Image("raw_rgb8", 4, 4, bytes(MAX_MESSAGE_BYTES // 2))
+    assert list(request_slices([[small]] * 40)) == [slice(0, 16), slice(16, 32), slice(32, 40)]
+    assert list(request_slices([[photo]] * 7)) == [slice(0, 5), slice(5, 7)]
+    assert list(request_slices([[photo, photo]] * 3)) == [slice(0, 2), slice(2, 3)]
+    assert list(request_slices([[heavy]] * 2)) == [slice(0, 1), slice(1, 2)]
+    assert list(request_slices([])) == []
 
 
 async def test_a_trajectory_of_more_timesteps_than_a_request_may_have_is_sent_as_a_stream(

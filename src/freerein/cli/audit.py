@@ -19,6 +19,7 @@ from freerein.cli.connection import call
 from freerein.cli.output import print_json
 from freerein.cli.tables import show_table
 from freerein.clients import RewardClient
+from freerein.clients.request_slices import request_slices
 from freerein.data.annotation_table import lines
 from freerein.errors import InvalidInput, must_be, quoted
 from freerein.metrics import wilson_interval
@@ -34,7 +35,6 @@ Audit = Annotated[
 
 _COLUMNS = ("image", "text", "holds")
 _ANSWERS: Mapping[str, bool] = {"yes": True, "no": False}
-_IMAGES_PER_REQUEST = 16
 _OF_TEXTS = ("goal_text", "rivals")
 """Fields of a refusal that is about the text; others are about the images."""
 
@@ -90,6 +90,13 @@ class Report:
     refused: tuple[str, ...]
 
 
+def check_cameras(cameras: object) -> None:
+    """Raises InvalidInput for a model of several cameras: a line of the table names one image."""
+    if isinstance(cameras, list) and len(cameras) > 1:
+        got, hint = quoted(", ".join(map(str, cameras))), "Leave out --audit, or fit to one camera: --set cameras=NAME."
+        raise must_be("--audit", "of a model of one camera", got, field="audit", hint=hint)
+
+
 def read_answers(folder: Path) -> list[Answer]:
     """Returns the answers in a folder's table.
 
@@ -138,8 +145,8 @@ def audit(answers: Sequence[Answer], model: ModelRef) -> Report:
         texts = dict.fromkeys(each.text for each in answers)
         for text in texts:
             places = [place for place, each in enumerate(answers) if each.text == text]
-            for start in range(0, len(places), _IMAGES_PER_REQUEST):
-                some = places[start : start + _IMAGES_PER_REQUEST]
+            for part in request_slices([(answers[place].image,) for place in places]):
+                some = places[part]
                 request = RewardRequest(text, images=tuple(answers[place].image for place in some), model=model)
                 try:
                     reply = await client.reward(request)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from freerein.cli.audit import Audit, read_answers
+from freerein.cli.audit import Audit, check_cameras, read_answers
 from freerein.cli.audit import audit as run_audit
 from freerein.cli.audit import show as show_audit
 from freerein.cli.commands.jobs import Watch, show_or_watch
@@ -111,6 +111,8 @@ def reward(
     answers = read_answers(audit) if audit else []  # refused before anything is done
     named = [phrase.strip() for given in phrases or () for phrase in given.split(",")]
     config = configuration("reward", settings) | ({"phrases": named} if named else {})
+    if audit:
+        check_cameras(config.get("cameras"))
     request = StartFitRequest(name, model_name, config)
     source = ImageSource(images) if images else None
     with _imported(source, name, replaces=replace, as_json=as_json) if source else nullcontext():

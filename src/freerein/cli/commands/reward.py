@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,12 +20,12 @@ from freerein.cli.datasets import dataset_root, read_trajectory
 from freerein.cli.output import AsJson, command, print_json
 from freerein.cli.tables import show_table
 from freerein.clients import RewardClient
+from freerein.clients.request_slices import request_slices
 from freerein.data import Dataset
 from freerein.errors import must_be, quoted
 from freerein.types.common import Image, ModelRef
 from freerein.types.reward import Grounding, GroundRequest, GroundResponse, RewardRequest, RewardResponse
 
-_IMAGES_PER_REQUEST = 16
 _BYTES_PER_REQUEST = 32 * 2**20
 _DARK, _LIGHT, _GAP = 0.35, (255, 170, 40), 4
 
@@ -46,11 +47,11 @@ app = typer.Typer(add_completion=False)
 def reward(
     image: _Images = None,
     *,
-    goal: Annotated[str, typer.Option(help="Goal text; needed without --audit.")] = "",
+    goal: Annotated[str, typer.Option(help="Goal text; needed without --audit and --heatmap.")] = "",
     rival: _Rivals = None,
     raw: Annotated[bool, typer.Option("--raw", help="Return the similarity instead of 0 or 1.")] = False,
     dataset: Annotated[str, typer.Option(help="Reward a trajectory of this dataset instead of images.")] = "",
-    index: Annotated[int, typer.Option(min=0, help="Index of the trajectory.")] = 0,
+    index: Annotated[int | None, typer.Option(min=0, help="Index of the trajectory; the first by default.")] = None,
     model: Annotated[str, typer.Option(help="Name of the reward model; `default` when empty.")] = "",
     version: Annotated[str, typer.Option(help="Version of that model; the active one by default.")] = "",
     heatmap: _Heatmap = None,
@@ -60,36 +61,43 @@ def reward(
 ) -> None:
     """Reward images against a goal text."""
     if audit:
-        _check_alone(image, dataset, goal)
+        _check_alone(image, dataset, goal, rival, raw, heatmap, phrase, index is not None)
         show_audit(run_audit(read_answers(audit), ModelRef(model, version)), as_json=as_json)
         return
-    _check(image, dataset, goal, heatmap, phrase)
+    _check_source(image, dataset, index)
+    _check_drawing(heatmap, phrase)
+    if not goal and (rival or raw or not heatmap):
+        hint = "Write freerein reward now.png --goal 'a red block on top of a blue block'."
+        raise must_be("--goal", "given", "none", field="goal", hint=hint)
     asked = RewardRequest(
         goal_text=goal, rivals=tuple(rival or ()), mode="raw" if raw else "binary", model=ModelRef(model, version)
     )
-    parts = list(_from_dataset(asked, dataset, index) if dataset else _from_files(asked, image or ()))
-    answer = _joined(call(RewardClient, "reward", lambda client: _ask(client, parts)))
-    print_json(wire.to_json(answer)) if as_json else _show(answer)
+    parts = list(_from_dataset(asked, dataset, index or 0) if dataset else _from_files(asked, image or ()))
+    if goal:
+        answer = _joined(call(RewardClient, "reward", lambda client: _ask(client, parts)))
+        print_json(wire.to_json(answer)) if as_json else _show(answer, is_raw=raw)
     if heatmap:
         _show_places(_draw(parts[0], tuple(phrase or ()), heatmap), heatmap, as_json=as_json)
 
 
-def _check_alone(image: list[str] | None, dataset: str, goal: str) -> None:
-    if image or dataset or goal:
-        hint = "Leave out images, --dataset and --goal: the folder has them."
+def _check_alone(*others: object) -> None:
+    if any(others):
+        hint = "Leave out images and other options but --model and --version: the folder has images and texts."
         raise must_be("--audit", "given alone", "more", field="audit", hint=hint)
 
 
-def _check(image: list[str] | None, dataset: str, goal: str, heatmap: Path | None, phrase: list[str] | None) -> None:
-    if not goal:
-        hint = "Write freerein reward now.png --goal 'a red block on top of a blue block'."
-        raise must_be("--goal", "given", "none", field="goal", hint=hint)
+def _check_source(image: list[str] | None, dataset: str, index: int | None) -> None:
     if bool(image) == bool(dataset):
         name, hint = (
             "Exactly one of images and a dataset",
             "Write freerein reward now.png --goal '...', or --dataset NAME.",
         )
         raise must_be(name, "given", "both" if dataset else "neither", field="image", hint=hint)
+    if index is not None and not dataset:
+        raise must_be("--index", "given with --dataset", "images", field="index", hint="Leave it out.")
+
+
+def _check_drawing(heatmap: Path | None, phrase: list[str] | None) -> None:
     if bool(heatmap) != bool(phrase):
         found, hint = "no phrase" if heatmap else "no file", "Write --heatmap out.png --phrase 'a red block'."
         raise must_be("--heatmap and --phrase", "given together", found, field="heatmap", hint=hint)
@@ -102,10 +110,14 @@ def _from_files(asked: RewardRequest, named: Sequence[str]) -> Iterator[RewardRe
     by_camera: dict[str, list[Image]] = {}
     for one in read_images(named):
         by_camera.setdefault(one.camera, []).append(one)
-    longest = max(map(len, by_camera.values()))
-    for start in range(0, longest, _IMAGES_PER_REQUEST):
-        some = tuple(one for own in by_camera.values() for one in own[start : start + _IMAGES_PER_REQUEST])
-        yield replace(asked, images=some)
+    counts = {camera: len(own) for camera, own in by_camera.items()}
+    if len(set(counts.values())) > 1:
+        got = ", ".join(f"{count} of {camera or 'no camera'}" for camera, count in counts.items())
+        hint = "Name one of each camera for every moment: front=FOLDER left=FOLDER."
+        raise must_be("Every camera", "given the same number of images", got, field="image", hint=hint)
+    moments = list(zip(*by_camera.values(), strict=True))
+    for part in request_slices(moments):
+        yield replace(asked, images=tuple(chain.from_iterable(moments[part])))
 
 
 def _from_dataset(asked: RewardRequest, name: str, index: int) -> Iterator[RewardRequest]:
@@ -156,7 +168,7 @@ def _joined(answers: Sequence[RewardResponse]) -> RewardResponse:
     return replace(answers[0], **joined)
 
 
-def _show(answer: RewardResponse) -> None:
+def _show(answer: RewardResponse, *, is_raw: bool) -> None:
     rows = [
         (str(moment), f"{reward:.3g}", f"{similarity:.3f}", answer.texts[winner])
         for moment, (reward, similarity, winner) in enumerate(
@@ -166,7 +178,8 @@ def _show(answer: RewardResponse) -> None:
     show_table(("frame", "reward", "similarity", "fits best"), rows, last="wrapped")
     typer.echo(f"{len(rows)} frames, model {answer.model.name} {answer.model.version}")
     if answer.unknown:
-        typer.echo(f"The model does not know {', '.join(answer.unknown)}: the goal is never rewarded.")
+        effect = "the similarity means little" if is_raw else "the goal is never rewarded"
+        typer.echo(f"The model does not know {', '.join(answer.unknown)}: {effect}.")
     if answer.did_you_mean:
         typer.echo(f"Did you mean: {answer.did_you_mean}?")
     if answer.truncated:

@@ -62,9 +62,13 @@ def _with_model(service: str, model: ModelRef, dataset: str, config: Mapping[str
             goal = _GOALS.get(str(config.get("method")), "--goal GOAL.png")
             return [f"freerein act --model {model.name} --image IMAGE.png {goal}"]
         case _:
+            cameras = tuple(config.get("cameras", ()))
+            several = len(cameras) > 1
+            images = " ".join(f"{camera}=IMAGE.png" for camera in cameras) if several else "IMAGE.png"
+            audit = f"freerein reward --audit DIR --model {model.name}  # so far nobody has said what images show"
             return [
-                f"freerein reward IMAGE.png --goal 'TEXT' --model {model.name}",
-                f"freerein reward --audit DIR --model {model.name}  # so far nobody has said what images show",
+                f"freerein reward {images} --goal 'TEXT' --model {model.name}",
+                *[audit] * (not several),
                 f"freerein run ppo --set task=TASK --set reward_model={model.name} --watch  # learns from it",
             ]
 
