@@ -10,9 +10,8 @@ from pathlib import Path
 
 from experiments import pages, registry
 from experiments.workbench import results, table
-from experiments.workbench.arms import Arm, choose, is_current
+from experiments.workbench.arms import Arm, choose
 from experiments.workbench.progress import ArmProgress, progress
-from experiments.workbench.results import ArmResult
 from experiments.workbench.runner import Ending, Places, run_arms
 from experiments.workbench.table import Table
 from freerein.errors import NotFound, ServiceError
@@ -107,10 +106,10 @@ def _table(arguments: argparse.Namespace) -> int:
         if made is not None:
             table.save(made, arguments.results / name)
             print(table.markdown(made))
-        elif arguments.names:
+        elif arguments.names or (arguments.results / name / results.TABLE_FILE).exists():
             raise NotFound(
-                "The experiment must have results of its present configuration and world; it has none.",
-                hint="Run: python -m experiments run NAME.",
+                f"An experiment must have results of its present configuration and world; {name} has none.",
+                hint=f"Run: python -m experiments run {name}.",
             )
     if arguments.results == Places.results:
         pages.save(Path())
@@ -128,21 +127,8 @@ def _pack(arguments: argparse.Namespace) -> int:
 def make_table(name: str, folder: Path) -> Table | None:
     """Returns the table of an experiment's current results, which lie in `folder / name`; None without any."""
     experiment = registry.load(name)
-    found = [each for source in (name, *experiment.sources) for each in _load_current(source, folder)]
+    found = [each for source in (name, *experiment.sources) for each in registry.load_current(folder / source)]
     return experiment.table(found) if found else None
-
-
-def _load_current(name: str, folder: Path) -> list[ArmResult]:
-    """Returns the results that an experiment's present arms would not replace; names the others on standard error."""
-    experiment = registry.load(name)
-    arms = {arm.name: arm for arm in experiment.arms}
-    current = []
-    for result in results.load_all(folder / name):
-        if result.name in arms and is_current(experiment, arms[result.name], result):
-            current.append(result)
-        else:
-            print(f"{result.name} is left out: another configuration or another world made it.", file=sys.stderr)
-    return current
 
 
 def _report(arm: Arm, ending: Ending) -> None:

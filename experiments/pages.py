@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.workbench import results
+from experiments import registry
 from experiments.workbench.results import TABLE_FILE, ArmResult
 from experiments.workbench.table import WORDS
 from freerein.atomic_files import write_atomic
@@ -69,7 +69,7 @@ def _lookup(folder: Path, name: str) -> Callable[[str], Any]:
     for claim in json.loads((folder / TABLE_FILE).read_bytes())["claims"]:
         if claim["claim"] == name:
             return partial(_of_claim, claim, folder)
-    return partial(_of_arms, [results.load(path) for path in folder.glob(f"{name}.json")])
+    return partial(_of_arms, registry.load_current(folder, name))
 
 
 def _of_claim(claim: Mapping[str, Any], folder: Path, field: str) -> Any:

@@ -133,9 +133,13 @@ def pack(folder: Path) -> None:
             archive.keep_only(written)
 
 
-def load_all(folder: Path) -> list[ArmResult]:
-    """Returns the results in a folder, by name. Raises FailedPrecondition when a file is no result."""
-    return [load(path) for path in sorted(folder.glob("*.json")) if path.name != TABLE_FILE]
+def load_all(folder: Path, pattern: str = "*") -> list[ArmResult]:
+    """Returns the results in a folder whose names match a shell pattern, by name.
+
+    Raises:
+        FailedPrecondition: A file is no result.
+    """
+    return [load(path) for path in sorted(folder.glob(f"{pattern}.json")) if path.name != TABLE_FILE]
 
 
 def load(path: Path) -> ArmResult:
