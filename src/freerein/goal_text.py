@@ -302,8 +302,13 @@ def _related(said: Words) -> tuple[Words, ...]:
 
 
 def is_noun_phrase(said: Words) -> bool:
-    """Returns whether words may be a noun phrase: few, and none that makes a sentence."""
+    """Returns whether words may be a noun phrase: few, and none that makes a sentence.
+
+    `a cup with a handle` is one; `contact with a cup` is the end of a relation that nobody knows.
+    """
     bare = bare_words(said)
+    if bare == said and _PLAIN_ARTICLES.intersection(said):
+        return False
     return 0 < len(bare) <= _LONGEST_PHRASE and bare[0] not in ARTICLES and not _NO_NOUNS.intersection(bare)
 
 
@@ -370,4 +375,7 @@ _REQUEST_WORDS = _split((*REQUESTS, *OPENINGS, *CLAUSES, ARRANGE, *SO_THAT))
 _UNREAD = frozenset((*NEGATIONS, *QUANTITIES))
 _ABSENCE_WORDS = frozenset(("or", MISSING))
 _GRAMMAR_WORDS = _split((POLITE, *ARTICLES, *GENERIC_NOUNS, *VERBS, *COPULAS, *map(" ".join, _WORDINGS))) - NEARBY_WORDS
-_NO_NOUNS = _split((POLITE, *VERBS, *COPULAS, *map(" ".join, _WORDINGS), *REQUESTS, *_UNREAD, "and or but then"))
+_NO_NOUNS = _split(
+    (POLITE, *VERBS, *COPULAS, *map(" ".join, _WORDINGS), *REQUESTS, *_UNREAD, "and or but then it them between")
+)
+_PLAIN_ARTICLES = frozenset(("a", "an", "the"))

@@ -50,6 +50,12 @@ def test_a_goal_text_is_read_as_a_criterion_of_its_nouns(text: str) -> None:
         ("a cup near a plate and a fork", None),
         ("a fork between a plate", None),
         ("near a plate", None),
+        ("a fork in between a plate", None),
+        ("a fork in between plate", None),
+        ("a fork in contact with a plate", None),
+        ("a fork in front the plate", None),
+        ("a fork next to it", None),
+        ("a cup with a handle in the box", ("inside_of", ("a cup with a handle", "the box"))),
     ],
 )
 def test_what_a_text_states_of_things_is_read_though_no_model_knows_them(

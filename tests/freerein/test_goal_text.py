@@ -171,6 +171,7 @@ def test_noun_phrases_are_those_of_texts_that_relate_two() -> None:
             "the pan is not on the stove",
             "put it on",
             "on the pan",
+            "put it on the pan",
         ),
     )
     assert noun_phrases(texts) == ("the red cup", "the plate", "a big blue box", "the lamp")
