@@ -37,7 +37,6 @@ _WORKFLOW = "run"
 _POLL_S = 0.2
 _QUEUE_POLL_S = 0.5  # a poll costs milliseconds of a core
 _STOP_S = 7.0
-_PREDECESSOR_S = 2.0
 _DATABASE_S = 30.0
 _QUERIES = 4  # at a time
 _POSTGRES_TIMEOUTS = {  # in seconds; the last in milliseconds
@@ -309,7 +308,7 @@ class DbosQueue:
                 field="executor_id",
                 hint="Stop it, or set FREEREIN_EXECUTOR_ID to another name.",
             )
-            timeout_s = _PREDECESSOR_S
+            timeout_s = self._locks.predecessor_s
             try:
                 if self._locks.take(self._executor_id):
                     return True

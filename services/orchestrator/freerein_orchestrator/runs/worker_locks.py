@@ -19,6 +19,9 @@ class FileLocks:
         folder: Folder of the files.
     """
 
+    predecessor_s = 2.0
+    """Time in which a predecessor of the same name ends and its lock is free."""
+
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._held: dict[str, int] = {}
@@ -52,6 +55,9 @@ class PostgresLocks:
     Args:
         url: URL of the database, `postgresql://...`.
     """
+
+    predecessor_s = 20.0
+    """As of `FileLocks`, also where its machine was lost: Postgres notices that within 15 s."""
 
     def __init__(self, url: str) -> None:
         self._url = url
