@@ -180,6 +180,11 @@ async def test_a_frame_of_other_proportions_than_those_of_the_fit_is_refused(sta
         else:
             with pytest.raises(InvalidInput, match=r"0\.75 times as high as it is wide.*got"):
                 await rewarder.reward(request)
+    sizes = ((9, 16, "left"), (3, 4, "front"), (9, 16, "left"), (4, 3, "front"))
+    encoded = tuple(images.encode(np.zeros((*size, 3), np.uint8), camera=camera) for *size, camera in sizes)
+    with pytest.raises(InvalidInput, match="4 x 3 pixels") as caught:
+        await rewarder.reward(RewardRequest("red", images=encoded, rivals=("blue",)))
+    assert caught.value.field == "images.3"
 
 
 async def test_a_goal_text_without_relation_needs_rivals_or_the_raw_similarity(start: Start) -> None:
@@ -251,7 +256,9 @@ async def test_cameras_are_told_apart_by_name_whatever_their_sizes_and_order(sta
     views = {"other": frames("blue"), "left": frames("green", side=5), "front": frames("red")}
     encoded = tuple(images.encode(views[camera][0], camera=camera) for camera in ("left", "other", "front"))
 
-    for sent in ({"frames": views}, {"images": encoded}):
+    depth = {"depth": np.zeros((1, 2, 2), np.float32)}
+
+    for sent in ({"frames": views | depth}, {"images": encoded}):
         answer = await rewarder.reward(RewardRequest("red green", rivals=("blue",), mode="raw", **sent))
         assert answer.similarities[0] == pytest.approx(1.0, abs=0.01)
 
@@ -272,6 +279,7 @@ REFUSED: dict[str, tuple[tuple[str, ...], dict[str, Any], type[ServiceError], st
     "neither": (("top",), {}, InvalidInput, "neither"),
     "both": (("top",), {"frames": TOP, "images": (images.encode(frames("red")[0]),)}, InvalidInput, "both"),
     "a camera is missing": (("front", "left"), {"frames": {"front": frames("red")}}, InvalidInput, "none is left"),
+    "several of any camera": (("",), {"frames": BOTH}, InvalidInput, "of one camera; got `front, left`"),
     "another camera": (("front",), {"frames": {"back": frames("red")}}, InvalidInput, "none is front"),
     "unequal counts": (("front", "left"), {"frames": BOTH}, InvalidInput, "2 of front, 1 of left"),
     "no frames": (("top",), {"frames": {"top": frames("red")[:0]}}, InvalidInput, "N at least 1"),

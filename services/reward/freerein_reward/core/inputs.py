@@ -1,12 +1,13 @@
 """Validation and decoding of requests: texts, images, frames by camera. The contract bounds their number and length."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from freerein import images
-from freerein.errors import InvalidInput, TooLarge, must_be
+from freerein.errors import InvalidInput, TooLarge, must_be, quoted
 from freerein.goal_text import words
 from freerein.learning.trajectories import TrajectoryArrays
 from freerein.types.common import Image
@@ -101,11 +102,14 @@ class EncodedFrames:
         return len(self._indices)
 
     def __getitem__(self, frame: int, /) -> Pixels:
-        index = self._indices[frame]
-        return images.decode(self._encoded[index], field=f"images.{index}")
+        return images.decode(self._encoded[self._indices[frame]], field=self.field(frame))
+
+    def field(self, frame: int) -> str:
+        """Returns the field of a frame in the request."""
+        return f"images.{self._indices[frame]}"
 
 
-def _check_aspect(frame: Pixels, model: RewardModel, camera: str) -> None:
+def _check_aspect(frame: Pixels, model: RewardModel, camera: str, field: str) -> None:
     """Raises InvalidInput where a frame, (h, w, C), of a model's camera has other proportions than those of its fit."""
     height, width = frame.shape[:2]
     expected = model.aspects.get(camera, height / width)
@@ -113,7 +117,7 @@ def _check_aspect(frame: Pixels, model: RewardModel, camera: str) -> None:
         raise InvalidInput(
             f"A frame must be {expected:.3g} times as high as it is wide, as in training, or relations would be those "
             f"of a stretched one; got {height} x {width} pixels (height x width).",
-            field="frames",
+            field=field,
             hint="Crop it, or fit a model to such frames.",
         )
 
@@ -124,12 +128,16 @@ def model_inputs(frames: FrameSequence, model: RewardModel, camera: str, *, star
     Raises:
         InvalidInput: A frame has other proportions than those of the fit; otherwise as `images.decode`.
     """
-    return np.stack([model_input(frames[index], model, camera) for index in range(start, stop)])
+    inputs = []
+    for index in range(start, stop):
+        field = frames.field(index) if isinstance(frames, EncodedFrames) else "frames"
+        inputs.append(model_input(frames[index], model, camera, field=field))
+    return np.stack(inputs)
 
 
-def model_input(frame: Pixels, model: RewardModel, camera: str) -> Pixels:
-    """Returns the model's input of a frame; raises as `model_inputs`."""
-    _check_aspect(frame, model, camera)
+def model_input(frame: Pixels, model: RewardModel, camera: str, *, field: str) -> Pixels:
+    """Returns the model's input of a frame in a request's field; raises as `model_inputs`."""
+    _check_aspect(frame, model, camera, field)
     return model.preprocess(frame)
 
 
@@ -156,7 +164,9 @@ def request_frames(request: RewardRequest, cameras: Sequence[str]) -> Mapping[st
     images.check_one_form(has_frames=bool(request.frames), has_images=bool(request.images))
     field = "frames" if request.frames else "images"
     _check_count(len(request.images) // len(cameras), field)  # before any header is read
-    chosen = _choose_cameras(_frames_by_camera(request), cameras, field)
+    chosen = _choose_cameras(request.frames or _encoded_by_camera(request), cameras, field)
+    if request.frames:
+        chosen = {camera: images.check_frames(frames, axis="N") for camera, frames in chosen.items()}
     counts = {camera: len(frames) for camera, frames in chosen.items()}
     if len(set(counts.values())) > 1:
         raise InvalidInput(
@@ -169,9 +179,7 @@ def request_frames(request: RewardRequest, cameras: Sequence[str]) -> Mapping[st
     return chosen
 
 
-def _frames_by_camera(request: RewardRequest) -> Mapping[str, FrameSequence]:
-    if request.frames:
-        return {camera: images.check_frames(frames, axis="N") for camera, frames in request.frames.items()}
+def _encoded_by_camera(request: RewardRequest) -> Mapping[str, EncodedFrames]:
     check_pixels(request.images)
     indices: dict[str, list[int]] = {}
     for index, image in enumerate(request.images):
@@ -179,13 +187,16 @@ def _frames_by_camera(request: RewardRequest) -> Mapping[str, FrameSequence]:
     return {camera: EncodedFrames(request.images, own) for camera, own in indices.items()}
 
 
-def _choose_cameras(
-    given: Mapping[str, FrameSequence], cameras: Sequence[str], field: str
-) -> Mapping[str, FrameSequence]:
+def _choose_cameras(given: Mapping[str, Any], cameras: Sequence[str], field: str) -> Mapping[str, Any]:
     """Returns the frames of a model's cameras; a single camera may be unnamed on either side."""
     if len(cameras) == len(given) == 1 and ("" in cameras or "" in given):
         return {cameras[0]: next(iter(given.values()))}
     missing = [camera for camera in cameras if camera not in given]
+    if missing == [""]:
+        got = quoted(", ".join(camera or "unnamed" for camera in given))
+        raise must_be(
+            "The request", "of one camera", got, field=field, hint="Send the frames of one; the model has any."
+        )
     if missing:
         raise InvalidInput(
             f"The model needs the cameras {', '.join(cameras)}; of the {len(given)} cameras given, "

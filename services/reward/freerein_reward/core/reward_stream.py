@@ -144,17 +144,19 @@ class _Session:
         """Returns the model's inputs by camera, uint8 (1, H, W, 3); the first frame says the sizes of all."""
         moment = one_moment(frame, self._model.cameras)
         sizes = {camera: (pixels.shape[0], pixels.shape[1]) for camera, pixels in moment.items()}
-        kept = self._sizes or sizes
+        kept, field = self._sizes or sizes, "frames" if frame.frames else "images"
         for camera, (height, width) in sizes.items():
             if kept[camera] != (height, width):
                 rows, columns = kept[camera]
                 raise InvalidInput(
                     f"Frames of a stream must keep their size, {rows} x {columns} pixels (height x width); got "
                     f"{height} x {width}.",
-                    field="frames" if frame.frames else "images",
+                    field=field,
                     hint="Send what the camera first sent, or open another stream.",
                 )
-        views = {camera: model_input(pixels, self._model, camera)[None] for camera, pixels in moment.items()}
+        views = {
+            camera: model_input(pixels, self._model, camera, field=field)[None] for camera, pixels in moment.items()
+        }
         self._sizes = kept
         return views
 
