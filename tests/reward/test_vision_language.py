@@ -16,7 +16,7 @@ from torch import Tensor
 
 from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
-from freerein_reward import import_model
+from freerein_reward import import_model, pretrain
 from freerein_reward.methods import load
 from freerein_reward.model import KNOWN, GradCamModel, ImportedGrounding, contrast_texts, load_built_in, load_grounding
 from freerein_reward.model.vision_language import KEYPOINTS, BuiltIn, gradient_weights, heat_maps
@@ -128,6 +128,7 @@ def test_an_imported_model_is_the_grounding_model(
     folder = store.folder(ModelRef("grounding", store.active_version("grounding")))
     model = load(folder, "cpu")
     assert isinstance(model, ImportedGrounding)
+    assert folder.stat().st_mode == folder.parent.stat().st_mode  # a service of another user may read it
     assert (model.place, model.image_size, model.preprocess(np.zeros((5, 7, 1), np.uint8)).shape) == (
         "soft_argmax",
         64,
@@ -204,6 +205,24 @@ def test_weights_with_another_digest_are_refused(source: Path, tmp_path: Path, c
     assert run_import(source, tmp_path / "models", "0" * 64) == 1
     assert sha256(source) in capsys.readouterr().err
     assert not (tmp_path / "models").exists()
+
+
+def test_what_cannot_be_read_or_written_is_one_line_with_a_remedy(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "models"
+    path.write_text("")
+    assert run_import(source, path) == 1
+    line = capsys.readouterr().err
+    assert line.startswith("All files and folders must be") and str(path) in line  # noqa: PT018
+    assert line.count("\n") == 1
+    with pytest.raises(SystemExit):
+        run_import(source, tmp_path, "", "--device", "gpu")
+    assert "must be auto, cpu or cuda:N; got `gpu`" in capsys.readouterr().err
+    for words, said in ((["lr=abc"], "got `lr=abc`"), (["seed"], "got `seed`"), ([], f"{path} is not: ")):
+        with pytest.raises(SystemExit):
+            pretrain.main([str(path), *words])
+        assert said in capsys.readouterr().err
 
 
 def test_calibrated_on_drawings_a_model_that_knows_colours_tells_them(shipped: GradCamModel) -> None:

@@ -10,9 +10,9 @@ import argparse
 import json
 import shutil
 import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from freerein.atomic_files import write_atomic
@@ -21,6 +21,7 @@ from freerein.learning import tensor_files
 from freerein.learning.model_files import choose_device
 from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
+from freerein_reward import command_line
 from freerein_reward.model import GROUNDING, LAYOUTS, REFERENCES, ImportedGrounding
 from freerein_reward.model.imported_grounding import KNOWN_PHRASES
 from freerein_reward.model.vision_language import KEYPOINTS
@@ -49,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--place", choices=[*KEYPOINTS], default="centroid", help="how heat becomes a keypoint")
     parser.add_argument("--images", type=int, default=REFERENCES, help="images to calibrate on")
     parser.add_argument("--seed", type=int, default=0, help="seed of these images")
-    parser.add_argument("--device", default="cpu", help="auto, cpu or cuda:N")
+    parser.add_argument("--device", type=command_line.device, default="cpu", help="auto, cpu or cuda:N")
     options = parser.parse_args(arguments)
     if options.images < 64:
         parser.error(f"--images must be at least 64; got {options.images}.")
@@ -57,6 +58,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ref, card = import_model(**vars(options))
     except ServiceError as error:
         sys.stderr.write(f"{error.detail} {error.hint}\n")
+        return 1
+    except OSError as error:
+        sys.stderr.write(f"{command_line.file_problem(error)}\n")
         return 1
     sys.stdout.write(f"{ref.name} {ref.version}\n{json.dumps(card['figures'])}\n")
     sys.stdout.writelines(f"Warning: {each}\n" for each in card["warnings"])
@@ -88,8 +92,9 @@ def import_model(
     layout = "transformers" if (source / CONFIG).exists() else "openai"
     _check_sha256(source, sha256)
     models.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=".import-", dir=models))
-    try:
+    with TemporaryDirectory(prefix=".import-", dir=models, ignore_cleanup_errors=True) as temporary:
+        folder = Path(temporary) / "model"  # the temporary one is for this user alone
+        folder.mkdir()
         for name in _FILES[layout]:
             _copy(source / name, folder / name)
         _check_sha256(folder, sha256)  # of what is read from now on
@@ -116,8 +121,6 @@ def import_model(
         ref = store.publish(GROUNDING, folder)
         store.activate(ref)
         return ref, card
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _copy(path: Path, to: Path) -> None:

@@ -4,7 +4,6 @@ It is published as FOLDER/models/grounding/<version>/. The same command resumes 
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -15,6 +14,7 @@ from freerein.errors import ServiceError
 from freerein.learning.model_files import choose_device, save_model
 from freerein.learning.training_loop import FitEvent, FitResult, fit_and_save
 from freerein.model_store import ModelStore
+from freerein_reward.command_line import device, file_problem, setting
 from freerein_reward.model import GROUNDING, DualEncoder, GradCamModel
 from freerein_reward.training.config import GroundingConfig
 from freerein_reward.training.evaluation import evaluate_grounding
@@ -32,13 +32,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m freerein_reward.pretrain", description="Train a grounding model.")
     parser.add_argument("folder", type=Path, help="folder for checkpoints, metrics and the model")
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="override a configuration key, e.g. seed=1")
-    parser.add_argument("--device", default="cpu", help="auto, cpu or cuda:N")
+    parser.add_argument("--device", type=device, default="cpu", help="auto, cpu or cuda:N")
     options = parser.parse_args(arguments)
     try:
-        config = GroundingConfig.from_mapping(dict(_setting(each) for each in options.settings))
+        config = GroundingConfig.from_mapping(dict(map(setting, options.settings)))
         return _pretrain(options.folder, GroundingLearner(config, choose_device(options.device)))
     except ServiceError as error:
         parser.error(f"{error.detail} {error.hint}")
+    except OSError as error:
+        parser.error(file_problem(error))
 
 
 def _pretrain(folder: Path, learner: GroundingLearner) -> int:
@@ -57,11 +59,6 @@ def _pretrain(folder: Path, learner: GroundingLearner) -> int:
 def _print_event(event: FitEvent) -> None:
     sys.stdout.write(f"{event.step} {event.kind} {event.detail}\n")
     sys.stdout.flush()
-
-
-def _setting(text: str) -> tuple[str, object]:
-    key, _, value = text.partition("=")
-    return key, json.loads(value)
 
 
 def _card(learner: GroundingLearner, fitted: FitResult[DualEncoder]) -> Mapping[str, Any]:
