@@ -111,6 +111,10 @@ def test_views_are_the_cameras_in_order_and_one_camera_may_be_two_views(data_dir
         ({"views": ["front", "left", "top"]}, "config.views"),
         ({"object_widths": [0.1, 0.2]}, "config.object_widths"),
         ({"object_widths": [0.0]}, "config.object_widths"),
+        (
+            {"cameras": ["front", "left"], "views": ["front", "left", "front"], "object_widths": [0.1, 0.1, 0.2]},
+            "config.object_widths",
+        ),
         ({"cameras": ["front", "wide"]}, "config.cameras"),
     ],
 )

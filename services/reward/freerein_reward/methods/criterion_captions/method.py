@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from freerein.criteria import View
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be, quoted
 from freerein.goal_text import words
 from freerein.learning import model_files
 from freerein.learning.fit_dataset import FitDataset
@@ -41,7 +41,7 @@ def _views(config: CriterionConfig) -> tuple[str, ...]:
 
 def _check(source: FitDataset, config: CriterionConfig, *, grounding: Path) -> None:
     check_views(config.cameras, _views(config))
-    _check_widths(config.object_widths)
+    _check_widths(config.object_widths, _views(config))
     shapes = {(each.height, each.width) for each in source.cameras(config.cameras)}
     if len({height / width for height, width in shapes}) > 1:
         raise InvalidInput(
@@ -52,7 +52,7 @@ def _check(source: FitDataset, config: CriterionConfig, *, grounding: Path) -> N
     check_phrases(config.phrases, load_built_in(grounding, "cpu"), least=2)
 
 
-def _check_widths(widths: Sequence[float]) -> None:
+def _check_widths(widths: Sequence[float], views: Sequence[str]) -> None:
     if len(widths) not in (1, len(View)) or not all(0.001 <= each <= 0.5 for each in widths):
         raise InvalidInput(
             f"`object_widths` must be one number, or one for each of {len(View)} views, in [0.001, 0.5]; "
@@ -60,6 +60,11 @@ def _check_widths(widths: Sequence[float]) -> None:
             field="config.object_widths",
             hint="Measure an object in a frame: its width in pixels over the frame's.",
         )
+    different = set(zip(views, widths, strict=False))
+    if twice := next((view for view in views if view and sum(view == each for each, _ in different) > 1), ""):
+        got = " and ".join(f"{width:g}" for view, width in sorted(different) if view == twice)
+        rule, hint = f"the same in all views of {quoted(twice)}", "Give one number for each camera's frames."
+        raise must_be("`object_widths`", rule, got, field="config.object_widths", hint=hint)
 
 
 def _prepare(
