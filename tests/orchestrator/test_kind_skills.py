@@ -47,6 +47,12 @@ def test_demonstrations_have_fewer_skills_than_the_recipes_that_are_executed() -
     KINDS["pipeline"].parse({"steps": pipeline_steps(SkillsRunConfig("dial", policies={"ends": "budget"}), TASK)})
 
 
+@pytest.mark.parametrize("number", [1, 6])
+def test_recipes_that_the_task_has_none_of_are_refused_before_anything_is_done(number: int) -> None:
+    with pytest.raises(InvalidInput, match=f"must be 2 to 5, as long as the task's recipes, or 0; got {number}"):
+        pipeline_steps(SkillsRunConfig("dial", skills_per_recipe=number), replace(TASK, min_skills=2))
+
+
 @pytest.mark.parametrize("lacking", [{"skills": ()}, {"has_expert": False}])
 def test_a_task_without_skills_or_expert_is_refused(lacking: dict[str, Any]) -> None:
     with pytest.raises(InvalidInput, match="a task with skills and an expert"):

@@ -16,13 +16,16 @@ from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.zsrm import ZsrmRunConfig, pipeline_steps
 
 TEXT = "a red block to the left of a blue block"
-TASK = Task("blocks.yellow-left-of-green", "blocks", "put it there", (), ActionSpec(3, 0, ("x",)), 0.1, (), 100)
+LEFT = {"camera": "left", "height": 64, "width": 64}
+CAMERAS = Camera("front", 64, 64, 3), Camera("left", 48, 64, 3)
+TASK = Task("blocks.yellow-left-of-green", "blocks", "put it there", CAMERAS, ActionSpec(3, 0, ("x",)), 0.1, (), 100)
 
 
 def test_the_texts_two_things_are_the_phrases_of_the_reward_that_the_policy_learns_from() -> None:
-    config = ZsrmRunConfig(TASK.name, TEXT, phrases=("a green block", "a red block"), policy={"camera": "left"}, seed=3)
+    config = ZsrmRunConfig(TASK.name, TEXT, phrases=("a green block", "a red block"), policy=LEFT, seed=3)
     images, reward, policy = (each["config"] for each in pipeline_steps(config, TASK, "blocks.scatter"))
     assert (images["task"], images["behaviour"], images["cameras"]) == ("blocks.scatter", "random", ["left"])
+    assert (images["height"], images["width"]) == (policy["height"], policy["width"]) == (64, 64)
     assert reward["config"]["phrases"] == ["a red block", "a blue block", "a green block"]
     assert policy["reward_model"] == reward["model_name"] == f"{TASK.name}-zsrm"
     assert (policy["goal_text"], policy["seed"], reward["config"]["seed"]) == (TEXT, 3, 3)
@@ -37,6 +40,7 @@ def test_the_texts_two_things_are_the_phrases_of_the_reward_that_the_policy_lear
         ({"policy": {"batch_size": 7}}, "config.batch_size"),
         ({"policy": {"reward": "oracle"}}, "config.policy"),
         ({"reward": {"steps": -1}}, "config"),
+        ({"reward": {"phrases": ["a cup"]}}, "config.reward"),
         ({"name": "../a"}, "config.name"),
     ],
 )
@@ -57,13 +61,23 @@ def test_what_cannot_be_learned_from_is_refused_before_anything_is_done(wrong: d
 def test_what_no_relation_says_is_judged_by_criteria(
     text: str, policy: dict[str, Any], views: list[str] | None
 ) -> None:
-    task = replace(TASK, name="push", cameras=(Camera("front", 64, 64, 3),))
+    task = replace(TASK, name="push")
     images, reward, training = pipeline_steps(ZsrmRunConfig(task.name, text, policy=policy), task, "push.scatter")
     assert reward["config"]["config"]["method"] == "criterion_captions"
     assert reward["config"]["config"]["phrases"] == ["a blue puck", "a yellow puck"]
     assert reward["config"]["config"].get("views") == views
     assert reward["config"]["config"]["cameras"] == policy.get("cameras", [policy.get("camera", "front")])
     assert (training["config"]["encoder"], images["config"]["task"]) == ("spatial", "push.scatter")
+
+
+@pytest.mark.parametrize("policy", [{"camera": "left"}, {"height": 32, "width": 32}])
+def test_an_object_encoder_that_would_see_other_sizes_than_the_reward_model_is_refused_first(
+    policy: dict[str, Any],
+) -> None:
+    with pytest.raises(InvalidInput, match="64 x 64; those of the training are") as refused:
+        pipeline_steps(ZsrmRunConfig(TASK.name, TEXT, policy=policy), TASK, "blocks.scatter")
+    assert refused.value.field == "config.policy"
+    pipeline_steps(ZsrmRunConfig(TASK.name, TEXT, policy=policy | {"encoder": "spatial"}), TASK, "blocks.scatter")
 
 
 def test_a_task_whose_own_goal_states_nothing_needs_a_text() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 from freerein.atomic_files import write_atomic
 from freerein.clients.tasks import find_task
 from freerein.config import bounded, parse
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be
 from freerein.types.common import check_name
 from freerein.types.sim import Task
 from freerein_orchestrator.kinds import evaluate
@@ -65,7 +65,7 @@ class SkillsRunConfig:
 
     task: str
     name: str = ""
-    count: int = bounded(400, least=2, most=1_000_000)
+    count: int = bounded(400, least=2, most=100_000)
     min_skills: int = bounded(0, least=0, most=1000)
     max_skills: int = bounded(0, least=0, most=1000)
     smoothing: float = bounded(1.0, least=0.0, most=100.0)
@@ -104,7 +104,7 @@ def pipeline_steps(config: SkillsRunConfig, task: Task) -> list[dict[str, Any]]:
     """Returns the steps of the pipeline, in order.
 
     Raises:
-        InvalidInput: The task has no skills, or no expert.
+        InvalidInput: The task has no skills, or no expert, or no recipes of so many skills.
     """
     if not (task.skills and task.has_expert):
         raise InvalidInput(
@@ -112,6 +112,10 @@ def pipeline_steps(config: SkillsRunConfig, task: Task) -> list[dict[str, Any]]:
             field="config.task",
             hint="Choose another task: freerein sim tasks.",
         )
+    if config.skills_per_recipe and not task.min_skills <= config.skills_per_recipe <= task.max_skills:
+        rule = f"{task.min_skills} to {task.max_skills}, as long as the task's recipes, or 0"
+        field = "config.skills_per_recipe"
+        raise must_be("skills_per_recipe", rule, config.skills_per_recipe, field=field, hint="0 for the longest.")
     name, (segmentation, policies) = config.shared_name, config.fits
     most = config.max_skills or max(task.min_skills, task.max_skills - 1)
     fewest = config.min_skills or max(task.min_skills, min(2, most))

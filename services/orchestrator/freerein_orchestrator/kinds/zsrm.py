@@ -16,12 +16,13 @@ from functools import partial
 from typing import Any
 
 from freerein.atomic_files import write_atomic
-from freerein.clients.tasks import find_task
+from freerein.clients.tasks import find_camera, find_task
 from freerein.config import bounded, parse
 from freerein.criteria import View
 from freerein.criterion_text import stated_criterion
 from freerein.errors import InvalidInput, NotFound, must_be, quoted
 from freerein.goal_text import noun_phrases
+from freerein.learning.actor_critic.object_encoder import OBJECT_ENCODER
 from freerein.learning.actor_critic.policy_files import IN_DISTRIBUTION_FILE, NAMES
 from freerein.types.common import check_name
 from freerein.types.imitation import PublishPolicyRequest
@@ -41,6 +42,9 @@ _SCENES = ".scatter"
 _REWARD: Mapping[str, Any] = {"steps": 1000}
 _CRITERIA = "criterion_captions"
 """The method of reward models of goals that the five relations cannot say."""
+
+_IMAGE_SIZE = 64
+"""Height and width of what reward models see, in pixels."""
 
 _OWN = ("task", "goal_text", "reward", "reward_model")
 """Keys of the training that this kind sets."""
@@ -73,7 +77,7 @@ class ZsrmRunConfig:
     text: str = ""
     phrases: tuple[str, ...] = ()
     scenes: str = ""
-    count: int = bounded(1000, least=2, most=1_000_000)
+    count: int = bounded(1000, least=2, most=100_000)
     name: str = ""
     reward: dict[str, Any] = field(default_factory=dict)
     policy: dict[str, Any] = field(default_factory=dict)
@@ -87,6 +91,9 @@ class ZsrmRunConfig:
         if own := sorted(set(self.policy).intersection(_OWN)):
             rule = f"without {', '.join(_OWN)}, which this kind sets"
             raise must_be("policy", rule, f"one with {', '.join(own)}", field="config.policy", hint="Leave them out.")
+        if "phrases" in self.reward:
+            rule = "without `phrases`, which this kind sets to those of the text and its own `phrases`"
+            raise must_be("reward", rule, "one with them", field="config.reward", hint="--set 'phrases=[...]'")
         self.training(self.text)
 
     @property
@@ -139,12 +146,15 @@ def pipeline_steps(config: ZsrmRunConfig, task: Task, scenes: str) -> list[dict[
         scenes: Name of the task that the images are recorded in.
 
     Raises:
-        InvalidInput: The goal in words states nothing of two or three things.
+        InvalidInput: The goal in words states nothing of two or three things, or the policy's object encoder does not
+            see frames as large as the reward model does.
     """
     name, text = config.shared_name, config.text or task.goal_text
     nouns, training = config.nouns(text), config.training(text)
     cameras = training.reward_cameras or training.cameras or (training.camera,) * bool(training.camera)
-    images = {"behaviour": "random", "count": config.count, "seed": config.seed}
+    _check_frames(training, task)
+    images: dict[str, Any] = {"behaviour": "random", "count": config.count, "seed": config.seed}
+    images |= {side: size for side in ("height", "width") if (size := getattr(training, side))}
     if cameras:
         images["cameras"] = list(cameras)
     own: dict[str, Any] = {"cameras": list(cameras)} if len(cameras) > 1 else {}  # a fit's own default is the first
@@ -183,6 +193,18 @@ def zsrm_kind(pipeline: Kind[Pipeline]) -> Kind[ZsrmRunConfig]:
 
     meaning = "Goes from a goal in words to a policy, by a zero-shot reward model."
     return Kind({"": ZsrmRunConfig}, named, steps=steps, run=run, check=check, truth=truth, meaning=meaning)
+
+
+def _check_frames(training: PPORunConfig, task: Task) -> None:
+    camera = find_camera(task, (*training.cameras, training.camera)[0])
+    height, width = training.height or camera.height, training.width or camera.width
+    if training.encoder == OBJECT_ENCODER and (height, width) != (_IMAGE_SIZE, _IMAGE_SIZE):
+        raise InvalidInput(
+            f"The encoder {OBJECT_ENCODER} must see frames as large as the reward model does, {_IMAGE_SIZE} x "
+            f"{_IMAGE_SIZE}; those of the training are {height} x {width}.",
+            field="config.policy",
+            hint=f'policy={{"height": {_IMAGE_SIZE}, "width": {_IMAGE_SIZE}}}, or the encoder spatial.',
+        )
 
 
 def _scenes_of(context: RunContext, task: Task) -> str:
