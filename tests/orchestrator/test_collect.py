@@ -1,7 +1,9 @@
 """Runs of kind `collect`, with the real sim service."""
 
+import json
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +13,14 @@ import torch
 
 from freerein.clients import Channel, SimClient, SyncClient
 from freerein.data import Dataset, dataset_path, read_teachers
-from freerein.data.dataset_recorder import DatasetRecorder
+from freerein.data.dataset_recorder import DatasetRecorder, recording
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound
 from freerein.learning.actor_critic.networks import ActorCriticSpec
 from freerein.learning.actor_critic.policy_files import save_policy
-from freerein.types.sim import DemonstrateRequest, ListTasksRequest
+from freerein.types.common import ActionSpec, Camera
+from freerein.types.sim import DemonstrateRequest, ListTasksRequest, Task
 from freerein_orchestrator.kinds import KINDS
-from freerein_orchestrator.kinds.collect.mix import parts_of_rounds
+from freerein_orchestrator.kinds.collect.mix import _spec, parts_of_rounds
 from freerein_orchestrator.rl.initial_network import init_network
 
 pytestmark = pytest.mark.e2e
@@ -162,12 +165,15 @@ def test_a_mix_has_its_parts_in_shares_and_says_what_their_policies_learned_from
     chosen = [{int(a) for i in np.flatnonzero(parts == part) for a in dataset.actions(i)[:, 0]} for part in range(3)]
     assert len(chosen[0]) < len(chosen[1]) == len(chosen[2]) == 5  # the untrained one has favourites
 
-    again = collect(config | {"dataset": "again"}, name="again")
+    again = collect(config | {"dataset": "again", "count": 30}, name="again")
     stops = iter([False] * 300 + [True] * 1000)
     assert not again.do(stop=lambda: next(stops))
-    assert 0 < len(Dataset(dataset_path(tmp_path, "again"))) < 39
-    assert again.do()
-    assert Dataset(dataset_path(tmp_path, "again")).fingerprint == dataset.fingerprint
+    root = dataset_path(tmp_path, "again")
+    assert 0 < len(Dataset(root)) < 30
+    request = json.loads((root / "recording.json").read_text())
+    (root / "recording.json").write_text(json.dumps(request | {"count": 30}))  # as earlier versions wrote it
+    assert collect(config | {"dataset": "again"}, name="larger").do()
+    assert Dataset(root).fingerprint == dataset.fingerprint
 
 
 @pytest.mark.parametrize(
@@ -195,6 +201,18 @@ def test_a_mix_that_cannot_be_recorded_is_refused(
         record()
 
 
+def test_a_mix_of_cameras_of_different_sizes_needs_one_size() -> None:
+    cameras = Camera("top", 33, 30, 3), Camera("side", 64, 64, 3)
+    task = Task("grid", "grid", "", cameras, ActionSpec(1, 5, tuple("abcde")), 0.1, (), 50)
+    mix = COLLECT.parse(
+        {"task": "grid", "dataset": "mix", "behaviour": "mix", "parts": [{}], "cameras": ["top", "side"]}
+    )
+    with pytest.raises(InvalidInput, match="must have frames of one size; got 33 x 30 and 64 x 64") as refused:
+        _spec({"grid": task}, mix)
+    assert refused.value.hint == "Set `height` and `width`."
+    _spec({"grid": task}, replace(mix, height=20, width=20))
+
+
 def check_curiosity(run: Any, dataset: Dataset) -> None:
     """Checks that all it did is recorded, as trajectories within episodes."""
     assert len(dataset) == CURIOSITY["count"]
@@ -215,15 +233,22 @@ def test_a_run_told_to_stop_while_its_sim_is_unavailable_stops(collect: Callable
     assert not collect(EXPERT, address="127.0.0.1:9").do(stop=stop_when_asked_again)
 
 
-def test_an_invalid_recording_is_refused(collect: Callable[..., Any]) -> None:
+def test_an_invalid_recording_is_refused(collect: Callable[..., Any], tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="Only the expert"):
         COLLECT.parse(RANDOM | {"max_skills": 1})
     with pytest.raises(InvalidInput, match="one camera"):
         COLLECT.parse(CURIOSITY | {"cameras": ["top", "side"]})
     with pytest.raises(InvalidInput):
         COLLECT.parse(RANDOM | {"dataset": "../demos"})
+    with pytest.raises(InvalidInput, match="must be at most 100000 where the behaviour is scripted; got 100001"):
+        COLLECT.parse(RANDOM | {"count": 100_001})
     with pytest.raises(NotFound):
         collect(RANDOM | {"task": "nothing"}).do()
     assert collect(RANDOM, name="first").do()
     with pytest.raises(FailedPrecondition, match="another"):
         collect(RANDOM | {"seed": 1}, name="second").do()
+    root = dataset_path(tmp_path, "demos")
+    for request, is_free in (({"seed": 1}, True), ({"seed": 1, "count": 5}, False)):
+        with pytest.raises(FailedPrecondition) as refused, recording(root, Dataset(root).spec, request):
+            pass
+        assert ("with a larger count" in refused.value.hint) == is_free

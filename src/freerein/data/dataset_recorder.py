@@ -139,12 +139,13 @@ def _check_resumable(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) 
     found, path = meta.read_spec(root), root / _REQUEST_FILE
     if found is None:
         return  # `open_writer` refuses it
-    earlier = json.loads(path.read_bytes()) if path.is_file() else None
+    earlier = _comparable(json.loads(path.read_bytes()), request) if path.is_file() else None
     count = len(layout.numbered_files(root / "data"))
     if earlier != request and (count or earlier is not None):
+        larger = "" if "count" in request else ", ask for the same with a larger count"
         raise _not_resumed(
             "with its own request; this dataset was recorded with another",
-            "Choose another name for the dataset, ask for the same with a larger count",
+            f"Choose another name for the dataset{larger}",
         )
     if found != spec:
         raise _not_resumed(
@@ -157,6 +158,12 @@ def _check_resumable(root: Path, spec: DatasetSpec, request: Mapping[str, Any]) 
             "where its trajectories are; this dataset has labels or tags of trajectories, and none of these",
             "Restore `data/` from a copy, choose another name",
         )
+
+
+def _comparable(earlier: Mapping[str, Any], request: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns a request as it is written now; earlier versions wrote counts of mixes, and conditions in any order."""
+    found = {key: value for key, value in earlier.items() if key != "count" or key in request}
+    return found | ({"conditions": sorted(found["conditions"])} if "conditions" in found else {})
 
 
 def _not_resumed(reason: str, ways_out: str) -> FailedPrecondition:

@@ -4,11 +4,12 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from freerein.config import bounded, parse
-from freerein.errors import InvalidInput
+from freerein.errors import InvalidInput, must_be
 from freerein.types.common import check_name
 
 RANDOM = "random"
 PARTS_FIELD = "config.parts"
+_MAX_SCRIPTED = 100_000
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class CollectConfig:
         dataset: The dataset's name; an unfinished one of the same configuration is continued.
         behaviour: `expert` and `random` are scripted; `curiosity` learns to reach what it cannot yet predict; `mix` are
             the `parts`.
-        count: Trajectories in the finished dataset.
+        count: Trajectories in the finished dataset; at most 100 000 of `expert` and `random`.
         seed: Seed of every random draw.
         skills: The skills that the expert chooses from; empty for all of the task.
         min_skills: Fewest different skills per trajectory; 0 means the fewest of a recipe of the task.
@@ -92,6 +93,9 @@ class CollectConfig:
         object.__setattr__(self, "parts", tuple(map(asdict, self.mix)))  # defaults filled in
         for part in self.mix:
             check_name(part.policy, field=PARTS_FIELD)
+        if self.behaviour in ("expert", "random") and self.count > _MAX_SCRIPTED:
+            rule = f"at most {_MAX_SCRIPTED} where the behaviour is scripted"
+            raise must_be("count", rule, self.count, field="config.count", hint="Record several datasets.")
         if self.behaviour != "expert" and (self.skills or self.min_skills or self.max_skills or self.settle):
             raise InvalidInput(
                 f"Only the expert executes skills; `skills`, `min_skills`, `max_skills` and `settle` must be left out "

@@ -82,7 +82,7 @@ def explore(context: RunContext, config: CollectConfig, root: Path) -> None:
         with closing(open_envs(())) as envs:
             return init_state(ppo, network, envs, device=device, make_rewards=make_rewards, inputs=inputs)
 
-    with recording(root, spec, inputs) as writer:
+    with recording(root, spec, {**inputs, "conditions": sorted(config.conditions)}) as writer:
         Trainer(
             context.folder,
             init=lambda: retry.call(init),

@@ -57,7 +57,9 @@ def record_mix(context: RunContext, config: CollectConfig, root: Path) -> list[d
     request: dict[str, JSON] = {
         **json.loads(json.dumps(asdict(config))),
         "policies": [each["sha256"] for each in cards],
+        "conditions": [*sorted(config.conditions)],
     }
+    del request["count"]  # of which no trajectory depends
     acting = zip(config.mix, named, cards, strict=True)
     teachers = [{"task": name, **card} for part, name, card in acting if not part.is_random]
     with recording(root, spec, request) as writer:
@@ -140,7 +142,11 @@ class _Source:
 
 
 def _spec(tasks: Mapping[str, Task], config: CollectConfig) -> DatasetSpec:
-    """Returns the spec of the dataset. Raises InvalidInput where the task of a part has other frames or actions."""
+    """Returns the spec of the dataset.
+
+    Raises:
+        InvalidInput: The task of a part has other frames or actions, or frames differ in size between cameras.
+    """
     recorded = partial(dataset_spec, cameras=config.cameras, height=config.height, width=config.width)
     specs = {name: recorded(task) for name, task in tasks.items()}
     own = specs[config.task]
@@ -152,6 +158,13 @@ def _spec(tasks: Mapping[str, Task], config: CollectConfig) -> DatasetSpec:
                 field=PARTS_FIELD,
                 hint="Record it as a dataset of its own.",
             )
+    sizes = {f"{height} x {width}" for height, width, _ in own.cameras.values()}
+    if len(sizes) > 1:
+        raise InvalidInput(
+            f"The cameras of a mix must have frames of one size; got {' and '.join(sorted(sizes))}.",
+            field="config.height",
+            hint="Set `height` and `width`.",
+        )
     return own
 
 
