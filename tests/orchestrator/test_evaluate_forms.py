@@ -30,7 +30,12 @@ from freerein_orchestrator.kinds import KINDS
 from freerein_orchestrator.kinds.evaluate.demonstration import efficiency, stopped_at, times_in_order, times_left
 from freerein_orchestrator.kinds.evaluate.form import enlarged
 from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
-from freerein_orchestrator.kinds.evaluate.recipes import attempt_bounds, known_skills, places_in_recipe
+from freerein_orchestrator.kinds.evaluate.recipes import (
+    attempt_bounds,
+    known_skills,
+    places_in_recipe,
+    random_behaviour,
+)
 from freerein_orchestrator.kinds.evaluate.sentences import confusion_matrix, told_is_done
 from freerein_orchestrator.kinds.policy_video import VIDEO
 from freerein_reward.model import DualEncoder, DualEncoderSpec
@@ -174,6 +179,10 @@ def test_random_actions_as_the_policy_say_nothing_of_landmarks_and_are_judged_by
     assert (run.folder / "artifacts" / VIDEO).is_file()
     with pytest.raises(InvalidInput, match="steps_per_landmark"):
         evaluation(LANDMARKS | {"policy": "random", "steps_per_landmark": 0}).do()
+    late = evaluation(LANDMARKS | {"policy": "random", "landmarks": 256, "spacing": 10})
+    with pytest.raises(InvalidInput, match="the steps of an episode; got 2560"):
+        late.do()
+    assert not late.rows
 
 
 @pytest.mark.e2e
@@ -376,6 +385,16 @@ def test_what_is_no_configuration_of_a_form_is_refused(config: dict[str, Any]) -
 def flags(*rows: str) -> Any:
     """Returns bool (N, T) from rows of digits."""
     return np.array([[each == "1" for each in row] for row in rows])
+
+
+def test_the_baseline_of_recipes_is_the_explorer_of_a_task_that_has_one() -> None:
+    sim, task = (
+        SyncClient(SimClient(Channel("localhost:1"))),
+        Task("t", "w", "", (), ActionSpec(1, 0, ("x",)), 0.1, (), 5),
+    )
+    with sim:
+        described = [random_behaviour(sim, replace(task, has_explorer=has)).description for has in (False, True)]
+    assert [each.get("explorer", False) for each in described] == [False, True]
 
 
 def test_what_was_done_is_set_against_what_was_told() -> None:

@@ -59,6 +59,15 @@ def test_a_round_that_a_crash_tore_is_measured_again_with_its_frames(run: Any, r
     assert content(record) == content(reopen()) == [(0, {"x": 0}), (1, {}), (2, {"y": 2})]
 
 
+def test_rows_of_metrics_that_are_there_are_kept_and_those_that_are_missing_appended(run: Any, reopen: Open) -> None:
+    reopen().add({}, [trial(1), trial(2), trial(3)])
+    path = run.folder / "metrics.jsonl"
+    first, second, _ = path.read_text().splitlines(keepends=True)
+    path.write_text(first.replace("1.0", "1.5") + second)
+    reopen()
+    assert [(row["step"], row["number"]) for row in run.rows] == [(1, 1.5), (2, 2), (3, 3)]
+
+
 def test_rounds_may_be_long_and_are_appended(run: Any, reopen: Open) -> None:
     path = run.folder / "checkpoints" / "rounds.jsonl"
     reopen().add({}, [Trial({"confidence": [0.123456789] * 50_000})])

@@ -152,6 +152,13 @@ class LandmarksEvaluation:
                 hint="Give it the limit of the model that it is compared with.",
             )
         self._steps = np.arange(1, config.landmarks + 1) * config.spacing  # of the landmarks in a random rollout
+        if self._steps[-1] > task.max_episode_steps:
+            raise InvalidInput(
+                f"`landmarks` times `spacing` must be at most {task.max_episode_steps}, the steps of an episode; got "
+                f"{self._steps[-1]}.",
+                field="config.landmarks",
+                hint="Take fewer landmarks, or a smaller spacing.",
+            )
         self.subject: dict[str, Any] = self._policy.description
 
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
@@ -166,12 +173,12 @@ class LandmarksEvaluation:
         followed = run(policy, goals=goals, max_steps=steps)
         baseline = run(random(stream=_BASELINE), max_steps=steps)
         with truth_session(setup.sim, setup.task.name) as truth:
-            at = _at_landmarks(truth, followed, self._landmark_states(explored))
-            at_random = _at_landmarks(truth, baseline, self._landmark_states(explored))
+            landmarks = self._landmark_states(explored)
+            at, at_random = (_at_landmarks(truth, episodes, landmarks) for episodes in (followed, baseline))
             moves = truth.holds(
                 OBJECT_MOVES,
                 [np.repeat(each.states[:1], len(self._steps), axis=0) for each in explored],
-                self._landmark_states(explored),
+                landmarks,
             )
         return [
             self._trial(*each) if len(each[0].actions) >= self._steps[-1] else Trial({})
@@ -186,7 +193,7 @@ class LandmarksEvaluation:
             reached = reached_by_truth(at, max_steps=self._max_steps)
             values |= {"reached": reached.tolist(), "landmarks_reached": float(reached.mean())}
             return Trial(values, {FILMED: followed.actions})
-        pursuit = pursuit_of(at[:, :-1], followed.goal_index)
+        pursuit = pursuit_of(at, followed.goal_index)
         active, ends = pursuit.is_active, np.flatnonzero(pursuit.left)
         values |= {
             "reached": pursuit.reached.tolist(),
@@ -262,8 +269,8 @@ class LandmarksEvaluation:
 def _at_landmarks(
     truth: TruthSession, episodes: Sequence[Episode], landmarks: Sequence[npt.NDArray[np.float64]]
 ) -> list[Flags]:
-    """Returns whether each robot was at each of its N landmarks, bool (N, T + 1) per episode."""
-    states = [each.states for each in episodes]
+    """Returns whether each robot was at each of its N landmarks before each action, bool (N, T) per episode."""
+    states = [each.states[:-1] for each in episodes]
     found = [
         truth.holds(
             AT_LANDMARK,

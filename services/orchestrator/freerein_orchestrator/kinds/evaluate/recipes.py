@@ -1,8 +1,8 @@
 """Form `recipes`: each robot executes a recipe that the task draws, by default as long as they come.
 
 A skill counts by true states: the task's predicates `completed/SKILL` and, where it offers them, `lifted/SKILL` judge
-its attempt. A skill that the policy never learned is skipped, and not completed. Random actions with as many steps per
-skill are the baseline.
+its attempt. A skill that the policy never learned is skipped, and not completed. The task's random behaviour with as
+many steps per skill is the baseline.
 """
 
 from collections.abc import Collection, Sequence
@@ -12,11 +12,13 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from freerein.clients import SyncClient
 from freerein.config import bounded
 from freerein.errors import InvalidInput
 from freerein.types.common import Goal
-from freerein.types.sim import DrawRecipesRequest, Recipe
+from freerein.types.sim import DrawRecipesRequest, Recipe, Task
 from freerein_orchestrator.envs.episodes import Episode, run_episodes
+from freerein_orchestrator.envs.policies import PolicyHandle, explorer_policy
 from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import Flags, States, TruthSession, check_predicates, truth_session
 from freerein_orchestrator.kinds.evaluate.form import FILMED, Form, Result, Setup, Trial, share_figure
@@ -96,7 +98,7 @@ class RecipesEvaluation:
             replace(each, goal_index=places_in_recipe(each.goal_index, recipe, policy.skills))
             for each, recipe in zip(episodes, recipes, strict=True)
         ]
-        random = exploration_policy(setup.task.action)
+        random = random_behaviour(setup.sim, setup.task)
         baseline = run_episodes(setup.sim, request, random, setup.interrupt, recipes=drawn, max_steps=steps)
         with truth_session(setup.sim, setup.task.name) as truth:
             checker = _AttemptChecker(truth, self._predicates, self._max_steps)
@@ -154,6 +156,11 @@ class RecipesEvaluation:
             episode_steps=config.episode_steps,
         )
         return Result(figures, counts, film=film)
+
+
+def random_behaviour(sim: SyncClient, task: Task) -> PolicyHandle:
+    """Returns the task's random behaviour: its explorer where it has one, else smooth random actions."""
+    return explorer_policy(sim) if task.has_explorer else exploration_policy(task.action)
 
 
 def known_skills(recipe: Sequence[str], known: Collection[str]) -> tuple[str, ...]:

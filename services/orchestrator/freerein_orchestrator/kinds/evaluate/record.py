@@ -20,6 +20,7 @@ from freerein.jobs import json_lines
 from freerein.learning import tensor_files
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.evaluate.form import Figure, Frames, Result, Trial
+from freerein_orchestrator.kinds.metrics_logger import last_step
 
 RESULT, PICTURES, FRAMES = "result.json", "frames.json", "frames.safetensors"
 
@@ -39,13 +40,15 @@ class TrialRecord:
         self._folder = context.folder / "checkpoints"
         self._artifacts = context.artifacts
         self._episodes = episodes
-        self._metrics = context.metrics_logger(0, group="eval")
         self.subject: dict[str, Any] = {}
         self._values: list[dict[str, Any]] = []
         self._kept: dict[str, int] = {}  # first trial with frames of a name, by name
         for line in self._whole_lines():
             self._take(json.loads(line))
-        self._log(0)
+        logged = max(0, last_step(context.run_folder, prefix=context.prefix) - context.first_step)
+        logged = min(logged, self.count, episodes - 1)
+        self._metrics = context.metrics_logger(logged, group="eval")
+        self._log(logged)
 
     @property
     def count(self) -> int:
