@@ -66,7 +66,16 @@ async def _outcome(transport: Transport, request: object, method: Method) -> obj
         responses = await transport(method, request)
     except ServiceError as error:
         return error.code, error.field, with_paths(error.detail), with_paths(error.hint)
-    return [{k: v for k, v in wire.to_json(response).items() if k != "timing"} for response in responses]
+    return [_untimed(wire.to_json(response)) for response in responses]
+
+
+def _untimed(value: Any) -> Any:
+    """Returns a JSON value without the durations in it."""
+    if isinstance(value, list):
+        return [_untimed(each) for each in value]
+    return (
+        {name: _untimed(each) for name, each in value.items() if name != "timing"} if isinstance(value, dict) else value
+    )
 
 
 Build = Callable[[Path, Health], Service]

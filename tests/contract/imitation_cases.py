@@ -99,6 +99,10 @@ def act_with_state(code: str = "", state: npt.NDArray[Any] | None = None) -> tup
     return "Act", imitation.ActRequest(observation, Goal((image(7),)), model=ModelRef("with-state")), code
 
 
+def act_batch(code: str = "", *requests: tuple[str, Any, str]) -> tuple[str, Any, str]:
+    return "ActBatch", imitation.ActBatchRequest(tuple(request for _, request, _ in requests)), code
+
+
 def cases(version: str) -> tuple[tuple[str, Any, str], ...]:
     """Returns requests of (method, request, code), for a service whose model has that version."""
     done, felt = np.zeros((1, 2), np.float32), np.array([-30.5, 12.0], np.float32)
@@ -133,6 +137,12 @@ def cases(version: str) -> tuple[tuple[str, Any, str], ...]:
         act(observation=Observation((image(),), felt * np.float32(math.nan))),
         ("PublishPolicy", imitation.PublishPolicyRequest("0" * 32), "not_found"),
         ("PublishPolicy", imitation.PublishPolicyRequest("../run"), "invalid_input"),
+        act_batch("", act(), act(seen=image(7), goal=Goal((image(7),))), act(state=b"", max_steps_per_goal=3)),
+        act_batch("invalid_input"),
+        act_batch("invalid_input", act(), act(state=b"x")),
+        act_batch("invalid_input", act(), act_two()),
+        act_batch("failed_precondition", act(), act(model=ModelRef("other"))),
+        act_batch("output_not_finite", act(), act(seen=image(2))),
         act("model_fault", seen=image(1)),
         act("output_not_finite", seen=image(2)),
     )

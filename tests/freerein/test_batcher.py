@@ -64,6 +64,20 @@ async def waiting(batcher: Batcher[int, int], *items: int, key: str = "") -> "li
     return calls
 
 
+async def test_items_of_one_call_share_a_batch_with_no_others(batcher: Batcher[int, int], model: Model) -> None:
+    first = await busy(batcher, model)
+    (other,) = await waiting(batcher, 1)
+    call = asyncio.create_task(batcher.submit_batch([2, 7, 3]))
+    await asyncio.sleep(0)
+    model.gate.set()
+    done = await call
+    await asyncio.gather(first, other)
+    assert model.batches == [[0], [1], [2, 7, 3]]
+    assert [each.output if isinstance(each, BatchResult) else each.code for each in done] == [4, "invalid_input", 6]
+    with pytest.raises(Overloaded):
+        await batcher.submit_batch(range(5))
+
+
 async def test_a_lone_item_runs_at_once_and_alone(batcher: Batcher[int, int]) -> None:
     done = await batcher.submit(21, timeout_s=60)
     assert (done.output, done.batch_size) == (42, 1)

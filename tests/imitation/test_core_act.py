@@ -1,5 +1,6 @@
 """`Act` and `GetSpec`: invalid fields are refused by name, and calls are stateless."""
 
+import asyncio
 import io
 from dataclasses import replace
 from typing import Any
@@ -11,10 +12,16 @@ from tests.faults import control_robot as robots
 from tests.faults import faulty_policy as policies
 
 from freerein.errors import FailedPrecondition, InvalidInput, ServiceError
-from freerein.types.common import Camera, Goal, Image, Observation
-from freerein.types.imitation import GetSpecRequest
+from freerein.model_store import CLONE_MODELS, ModelStore
+from freerein.serving.batcher import Batcher
+from freerein.serving.metrics import Metrics
+from freerein.serving.model_cache import ModelCache
+from freerein.types.common import Camera, Goal, Image, ModelRef, Observation
+from freerein.types.imitation import ActBatchRequest, ActRequest, GetSpecRequest
 from freerein.types.learning import ActivateModelRequest
+from freerein_imitation.core import ActService, PolicyRunner
 from freerein_imitation.core.inputs import parse_frames, parse_goal, parse_robot_state
+from freerein_imitation.methods import METHODS
 
 
 def encoded(image: Image, format_: str = "PNG", mode: str = "RGB") -> Image:
@@ -42,6 +49,44 @@ async def test_calls_chained_by_their_states_are_one_history(core: Any) -> None:
         indices.append((reply.goal_index, reply.goal_reached, len(reply.actions)))
         assert (reply.done, reply.done_by) == (("yes", "policy") if reply.goal_reached else ("no", None))
     assert indices == [(0, False, 3), (1, False, 3), (1, False, 3), (2, True, 0), (2, True, 0)]
+
+
+@pytest.mark.parametrize("name", ["skills", "default"])
+async def test_equal_calls_for_several_robots_have_equal_replies_to_the_bit_whatever_else_is_asked(name: str) -> None:
+    store, ref, rng = ModelStore(CLONE_MODELS / "imitation"), ModelRef(name), np.random.default_rng(0)
+    models: Any = ModelCache(store, lambda folder: METHODS.load(folder, "cpu"), fit_command="none")
+    batcher = Batcher(PolicyRunner().run_batch, queue=64, batch=8, metrics=Metrics())
+    act = ActService(models, batcher)
+    spec = await act.get_spec(GetSpecRequest(ref))
+
+    def seen() -> tuple[Image, ...]:
+        sizes = [(each.name, each.height, each.width, each.channels) for each in spec.cameras]
+        return tuple(
+            Image(
+                "raw_rgb8" if channels == 3 else "raw_gray8",
+                height,
+                width,
+                rng.bytes(height * width * channels),
+                camera,
+            )
+            for camera, height, width, channels in sizes
+        )
+
+    state = np.zeros(spec.robot_state_size, np.float32) if spec.robot_state_size else None
+    goal = Goal(recipe=spec.skills[:2]) if spec.skills else Goal(seen())
+    robots_ask = tuple(ActRequest(Observation(seen(), state), goal, model=ref) for _ in range(20))
+
+    async def answers() -> list[tuple[bytes, bytes]]:
+        return [
+            (each.actions.tobytes(), each.state)
+            for each in (await act.act_batch(ActBatchRequest(robots_ask))).responses
+        ]
+
+    first = await answers()
+    others = [asyncio.create_task(act.act(each)) for each in robots_ask[:10]]
+    assert await answers() == first
+    await asyncio.gather(*others)
+    batcher.close()
 
 
 async def test_an_encoded_image_is_the_same_goal_and_the_same_observation(core: Any) -> None:

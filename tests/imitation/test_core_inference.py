@@ -168,7 +168,7 @@ def test_a_goal_is_encoded_once_for_each_version() -> None:
     policy, runner = Summing(), PolicyRunner()
     run([item(policy, 7), item(policy, 8), item(policy, 9, "bb")], runner)
     run([item(policy, 7), replace(item(policy, 7), version="w")], runner)
-    assert policy.encoded == [["a", "bb"], ["a"]]
+    assert policy.encoded == [["a"], ["bb"], ["a"]]
 
 
 class Blank(Summing):

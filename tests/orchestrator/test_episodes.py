@@ -1,7 +1,6 @@
 """Episodes of a policy: their seeds, states of simulations that diverged, and experts of episodes that follow."""
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +11,7 @@ from freerein.clients import Channel, SimClient, SyncClient
 from freerein.clients.tasks import find_task
 from freerein.errors import InvalidInput
 from freerein.types.common import Goal, ModelRef, Observation, Timing
-from freerein.types.imitation import ActRequest, ActResponse
+from freerein.types.imitation import ActBatchRequest, ActBatchResponse, ActRequest, ActResponse
 from freerein.types.sim import CreateSessionRequest, DrawRecipesRequest, ExpertActionsRequest, ResetRequest, Truth
 from freerein_orchestrator.envs.episodes import derive_seed, finite_truth, open_session
 from freerein_orchestrator.envs.policies import PolicySession, ServedPolicy, expert_policy
@@ -70,15 +69,16 @@ def test_an_expert_is_asked_for_its_goal_in_the_first_episode_alone(
 def test_a_served_policy_is_asked_of_first_episodes_alone() -> None:
     asked: list[bytes] = []
 
-    def act(request: ActRequest) -> ActResponse:
-        asked.append(request.state)
-        return ActResponse(np.ones((1, 2), np.float32), 0.5, 0, False, 1.0, b"later", ModelRef(), Timing())
+    def act_batch(request: ActBatchRequest) -> ActBatchResponse:
+        asked.extend(each.state for each in request.requests)
+        reply = ActResponse(np.ones((1, 2), np.float32), 0.5, 0, False, 1.0, b"later", ModelRef(), Timing())
+        return ActBatchResponse((reply,) * len(request.requests))
 
     frames = {"front": np.zeros((2, 4, 4, 3), np.uint8)}
-    with ThreadPoolExecutor(1) as pool:
-        hold = np.zeros((1, 2), np.float32)
-        policy = ServedPolicy(SimpleNamespace(act=act), 2 * [ActRequest(Observation(), Goal())], hold, pool)  # type: ignore[arg-type]
-        starts = np.array([[1, 1], [0, 0], [0, 1], [0, 0]], np.bool_)
-        actions = [policy.act(frames, each).actions[:, 0].tolist() for each in starts]
+    hold = np.zeros((1, 2), np.float32)
+    imitation: Any = SimpleNamespace(act_batch=act_batch)
+    policy = ServedPolicy(imitation, 2 * [ActRequest(Observation(), Goal())], hold)
+    starts = np.array([[1, 1], [0, 0], [0, 1], [0, 0]], np.bool_)
+    actions = [policy.act(frames, each).actions[:, 0].tolist() for each in starts]
     assert actions == [[1, 1], [1, 1], [1, 0], [1, 0]]
     assert asked == [b"", b"", b"later", b"later", b"later", b"later"]

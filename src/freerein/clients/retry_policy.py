@@ -7,7 +7,7 @@ service stops retries while most calls fail.
 import json
 
 IDEMPOTENT = {
-    "freerein.api.imitation.v1.ImitationService": ("GetSpec", "Act", "PublishPolicy"),
+    "freerein.api.imitation.v1.ImitationService": ("GetSpec", "Act", "ActBatch", "PublishPolicy"),
     "freerein.api.learning.v1.FitService": ("StartFit", "GetFit", "ListFits", "WatchFit", "GetFitMetrics", "CancelFit"),
     "freerein.api.learning.v1.ModelService": ("ListModels",),
     "freerein.api.reward.v1.RewardService": ("Reward", "Ground", "Describe", "EmbedGoal"),

@@ -42,6 +42,7 @@ class ImitationClient(Client):
 
     get_spec = UnaryRpc(imitation.GetSpecRequest, imitation.GetSpecResponse)
     act = UnaryRpc(imitation.ActRequest, imitation.ActResponse)
+    act_batch = UnaryRpc(imitation.ActBatchRequest, imitation.ActBatchResponse)
     control = StreamRpc(imitation.ControlRequest, imitation.ControlResponse)
     """First the spec; then a chunk or an error for each observation that no newer one overtook. Never retried; a reply
     with `draining` is unsolicited."""

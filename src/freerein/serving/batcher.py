@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, cast
 
 from freerein.errors import DeadlineExceeded, ModelFault, Overloaded, ServiceError, Unavailable
 from freerein.serving.limits import Limits
@@ -123,27 +123,50 @@ class Batcher(Generic[I, O]):
             Unavailable: The batcher is closed.
             ServiceError: Whatever the model returned in place of the item's output.
         """
+        (queued,) = self._enqueue([item], key=key, timeout_s=timeout_s)
+        try:
+            return await queued.future
+        except asyncio.CancelledError:
+            self._remove(queued)
+            raise
+
+    async def submit_batch(self, items: Sequence[I]) -> list[BatchResult[O] | ServiceError]:
+        """Returns the model's outputs, or errors as of `submit`, for items that share a batch with no others.
+
+        So equal items have equal outputs, to the bit. More than a batch holds are several, in order.
+
+        Raises:
+            Overloaded: The queue has no room for all.
+            Unavailable: The batcher is closed.
+        """
+        queued = self._enqueue(items, key=object(), timeout_s=None)
+        try:
+            found = await asyncio.gather(*(each.future for each in queued), return_exceptions=True)
+        except asyncio.CancelledError:
+            for each in queued:
+                self._remove(each)
+            raise
+        return cast("list[BatchResult[O] | ServiceError]", found)
+
+    def _enqueue(self, items: Sequence[I], *, key: Hashable, timeout_s: float | None) -> "list[_QueuedItem[I, O]]":
+        """Queues items one behind the other."""
         loop = asyncio.get_running_loop()
         if self._results is None or self._results.loop is not loop:
             self._results = ThreadResults(loop)
-        future: asyncio.Future[BatchResult[O]] = loop.create_future()
+        results, submitted_ns = self._results, time.perf_counter_ns()
         deadline = time.monotonic() + (self._call_s if timeout_s is None else timeout_s)
-        queued = _QueuedItem(item, key, deadline, future, self._results, time.perf_counter_ns())
+        queued = [_QueuedItem(item, key, deadline, loop.create_future(), results, submitted_ns) for item in items]
         with self._lock:
             if self._closed:
                 raise _closed_error()
-            if len(self._queue) >= self._max_queue:
+            if len(self._queue) + len(queued) > self._max_queue:
                 raise Overloaded(
                     f"At most {self._max_queue} items may wait for the model; the queue is full.",
                     hint="Try again after Retry-After, or send less at once.",
                 )
-            self._queue.append(queued)
+            self._queue.extend(queued)
             self._wake_thread()
-        try:
-            return await future
-        except asyncio.CancelledError:
-            self._remove(queued)
-            raise
+        return queued
 
     def close(self) -> None:
         """Refuses queued items and ends the thread after its current batch; abandons a thread that hangs."""

@@ -109,6 +109,20 @@ class ActResponse:
     resized: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class ActBatchRequest:
+    """Requests of several robots: 1 to 64, all of one model."""
+
+    requests: tuple[ActRequest, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ActBatchResponse:
+    """A reply to each request, in their order."""
+
+    responses: tuple[ActResponse, ...]
+
+
 @dataclass(frozen=True)
 class PublishPolicyRequest:
     """Requests that the policy of a finished ppo run is served by name.

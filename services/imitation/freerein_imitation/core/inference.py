@@ -155,15 +155,14 @@ class PolicyRunner:
         ]
 
     def _encode_goals(self, requests: Sequence[InferenceRequest]) -> npt.NDArray[np.float32]:
-        """Returns the embeddings of the requests' current goals, (B, G)."""
+        """Returns the embeddings of the requests' current goals, (B, G): each goal's alone, whatever else is asked."""
         keys = [(request.version, request.goal.digest) for request in requests]
         contents = {key: request.goal.content for key, request in zip(keys, requests, strict=True)}
-        if missing := [key for key in contents if key not in self._goal_cache]:
-            goals: Any = [contents[key] for key in missing]
-            texts = isinstance(goals[0], str)
-            embeddings = requests[0].policy.encode_goals(goals if texts else _stack_frames(goals))
-            self._goal_cache.update({key: each.copy() for key, each in zip(missing, embeddings, strict=True)})
-            self._cached_bytes += embeddings.nbytes + _ENTRY_BYTES * len(missing)
+        for key in [key for key in contents if key not in self._goal_cache]:
+            goal: Any = contents[key]
+            (embedding,) = requests[0].policy.encode_goals([goal] if isinstance(goal, str) else _stack_frames([goal]))
+            self._goal_cache[key] = embedding.copy()
+            self._cached_bytes += embedding.nbytes + _ENTRY_BYTES
         for key in keys:
             self._goal_cache.move_to_end(key)
         found = [self._goal_cache[key] for key in keys]

@@ -1,9 +1,8 @@
 """Policies that can act in a task: stored, served, or the scripted expert."""
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -15,14 +14,14 @@ from freerein.clients import SyncClient
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.policy_files import StoredPolicy
 from freerein.types.common import Encoding, Goal, Image, ModelRef, Observation
-from freerein.types.imitation import ActRequest, ActResponse, GetSpecRequest
+from freerein.types.imitation import ActBatchRequest, ActRequest, ActResponse, GetSpecRequest
 from freerein.types.sim import ExpertActionsRequest, Recipe, Task
 from freerein_orchestrator.envs.policy_interface import PolicyInterface, check_task
 from freerein_orchestrator.rl.network_policy import NetworkPolicy
 from freerein_orchestrator.rl.vec_env import Actions, Frames, join_cameras
 
-_MAX_THREADS = 64
-"""Calls at once: the most environments that a session may have."""
+_MOST_BYTES = 32 * 2**20
+"""Of the images of a call, half of a message; environments whose images are more take several."""
 
 
 @dataclass(frozen=True)
@@ -106,16 +105,13 @@ def stored_policy(policy: StoredPolicy, task: Task, *, stochastic: bool, model: 
     return PolicyHandle(start, description, policy.cameras, spec.cameras[0].height, spec.cameras[0].width)
 
 
-def served_policy(
-    imitation: SyncClient, model: ModelRef, task: Task, *, closing: ExitStack, max_steps_per_goal: int = 0
-) -> PolicyHandle:
+def served_policy(imitation: SyncClient, model: ModelRef, task: Task, *, max_steps_per_goal: int = 0) -> PolicyHandle:
     """Returns a model of the imitation service, pinned to one version, which is given a goal per environment.
 
     Args:
         imitation: The service's client.
         model: The model; without a version, the active one.
         task: Where it acts.
-        closing: Ends the threads that call the service.
         max_steps_per_goal: Steps after which a goal is abandoned; 0 for the model's own limit.
 
     Raises:
@@ -125,7 +121,6 @@ def served_policy(
     reply = imitation.get_spec(GetSpecRequest(model))
     spec = PolicyInterface.of_served(reply)
     check_task(spec, task)
-    pool = closing.enter_context(ThreadPoolExecutor(_MAX_THREADS, thread_name_prefix="act"))
     hold = task.action.nearest_to_hold()[None]
 
     def start(session: PolicySession) -> BatchPolicy:
@@ -133,7 +128,7 @@ def served_policy(
             ActRequest(Observation(), goal, max_steps_per_goal=max_steps_per_goal, model=reply.model)
             for goal in session.goals
         ]
-        return ServedPolicy(imitation, requests, hold, pool)
+        return ServedPolicy(imitation, requests, hold)
 
     return PolicyHandle(
         start,
@@ -223,7 +218,7 @@ class _ExpertPolicy:
 
 
 class ServedPolicy:
-    """Calls the imitation service once per environment, concurrently, so that it batches the calls.
+    """Calls the imitation service for all environments at once: equal frames have equal actions, to the bit.
 
     An environment whose goals are all over holds: its last answer stays. So it does after its first episode, for nobody
     records another one.
@@ -232,13 +227,10 @@ class ServedPolicy:
         hold: The action that holds, (1, A).
     """
 
-    def __init__(
-        self, imitation: SyncClient, requests: Sequence[ActRequest], hold: Actions, pool: ThreadPoolExecutor
-    ) -> None:
+    def __init__(self, imitation: SyncClient, requests: Sequence[ActRequest], hold: Actions) -> None:
         self._imitation = imitation
         self._first_requests = list(requests)
         self.hold = hold
-        self._pool = pool
         self._requests = list(requests)
         self._replies: list[ActResponse | None] = [None] * len(requests)
         self._episodes = np.zeros(len(requests), np.int64)
@@ -247,8 +239,7 @@ class ServedPolicy:
         """Returns an action per environment, and how far each is, as `BatchPolicy.act`."""
         self._episodes += episode_starts
         acts = (self._episodes == 1).tolist()
-        observed = [{camera: frame[env] for camera, frame in frames.items()} for env in range(len(self._requests))]
-        replies = list(self._pool.map(self._answer, self._requests, self._replies, observed, acts))
+        replies = self._ask(frames, acts)
         answers = zip(replies, acts, strict=True)
         actions = [reply.actions[:1] if is_acting and len(reply.actions) else self.hold for reply, is_acting in answers]
         self._replies = list(replies)
@@ -268,13 +259,31 @@ class ServedPolicy:
         executed = self._requests[env].executed_actions
         self._requests[env], self._replies[env] = replace(self._first_requests[env], executed_actions=executed), None
 
-    def _answer(
-        self, request: ActRequest, last: ActResponse | None, frames: Mapping[str, Frames], is_acting: bool
-    ) -> ActResponse:
-        if last is not None and not (is_acting and len(last.actions)):
-            return last
-        observation = Observation(tuple(encode_raw(frame, camera) for camera, frame in frames.items()))
-        return self._imitation.act(replace(request, observation=observation))
+    def _ask(self, frames: Mapping[str, Frames], acts: Sequence[bool]) -> list[ActResponse]:
+        """Returns the answer of each environment, where it does not act any more the last one."""
+        last, all_envs = dict(enumerate(self._replies)), enumerate(zip(self._replies, acts, strict=True))
+        asking = [env for env, (said, is_acting) in all_envs if said is None or (is_acting and len(said.actions))]
+        requests = []
+        for env in asking:
+            images_of = tuple(encode_raw(frame[env], camera) for camera, frame in frames.items())
+            requests.append(replace(self._requests[env], observation=Observation(images_of)))
+        last |= zip(asking, chain.from_iterable(map(self._call, _in_calls(requests))), strict=True)
+        return cast(list[ActResponse], list(last.values()))
+
+    def _call(self, requests: Sequence[ActRequest]) -> tuple[ActResponse, ...]:
+        return self._imitation.act_batch(ActBatchRequest(tuple(requests))).responses
+
+
+def _in_calls(requests: Sequence[ActRequest]) -> Iterator[Sequence[ActRequest]]:
+    """Yields requests, as many at a time as a message holds."""
+    size = max((sum(len(each.data) for each in _images_of(request)) for request in requests), default=1)
+    at_once = max(1, _MOST_BYTES // max(1, size))
+    for first in range(0, len(requests), at_once):
+        yield requests[first : first + at_once]
+
+
+def _images_of(request: ActRequest) -> tuple[Image, ...]:
+    return (*request.observation.images, *request.goal.images)
 
 
 def encode_raw(frame: Frames, camera: str) -> Image:

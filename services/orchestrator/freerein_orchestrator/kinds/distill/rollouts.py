@@ -15,7 +15,6 @@ interrupted one is run again, and those of its episodes that are on disk are ski
 
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -180,9 +179,8 @@ class _Recording:
             Goal(text=str(self._policies[each.teacher].card["goal_text"])),
         )
         request = self._session(each, teacher)
-        with ExitStack() as closing:
-            student = served_policy(self._imitation, self._students[-1], self._tasks[each.teacher], closing=closing)
-            episodes = self._run(request, student, goals=[goal] * each.count)
+        student = served_policy(self._imitation, self._students[-1], self._tasks[each.teacher])
+        episodes = self._run(request, student, goals=[goal] * each.count)
         return relabelled(episodes, self._policies[each.teacher])
 
     def _run(

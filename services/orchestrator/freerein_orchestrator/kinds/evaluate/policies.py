@@ -194,7 +194,6 @@ def find_policy(setup: Setup[Any], choice: PolicyChoice | None = None, *, max_st
         context.client("imitation"),
         ModelRef(**pinned) if pinned else made,
         task,
-        closing=context.closing,
         max_steps_per_goal=max_steps_per_goal,
     )
 

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from freerein.api.common.v1 import common_pb2 as freerein_dot_api_dot_common_dot_v1_dot_common__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n)freerein/api/imitation/v1/imitation.proto\x12\x19\x66reerein.api.imitation.v1\x1a#freerein/api/common/v1/common.proto\"A\n\x0eGetSpecRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\"\xfb\x02\n\x0fGetSpecResponse\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12/\n\x07\x63\x61meras\x18\x02 \x03(\x0b\x32\x1e.freerein.api.common.v1.Camera\x12\x32\n\x06\x61\x63tion\x18\x03 \x01(\x0b\x32\".freerein.api.common.v1.ActionSpec\x12\x0f\n\x07horizon\x18\x04 \x01(\r\x12\x14\n\x0c\x63ontrol_dt_s\x18\x05 \x01(\x01\x12\x36\n\tgoal_form\x18\x06 \x01(\x0e\x32#.freerein.api.imitation.v1.GoalForm\x12\x0e\n\x06skills\x18\x07 \x03(\t\x12\x1a\n\x12max_steps_per_goal\x18\x08 \x01(\r\x12\x19\n\x11reached_threshold\x18\t \x01(\x01\x12\x12\n\ngoal_texts\x18\n \x03(\t\x12\x18\n\x10robot_state_size\x18\x0b \x01(\r\"\xdb\x02\n\nActRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x38\n\x0bobservation\x18\x02 \x01(\x0b\x32#.freerein.api.common.v1.Observation\x12H\n\x10\x65xecuted_actions\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\x0e\x9a\xb5\x18\nFP32 INT64\x12*\n\x04goal\x18\x04 \x01(\x0b\x32\x1c.freerein.api.common.v1.Goal\x12\r\n\x05state\x18\x05 \x01(\x0c\x12\x1a\n\x12max_steps_per_goal\x18\x06 \x01(\r\x12\x36\n\x06resize\x18\x07 \x01(\x0e\x32!.freerein.api.imitation.v1.ResizeH\x00\x88\x01\x01\x42\t\n\x07_resize\"\xcb\x03\n\x0b\x41\x63tResponse\x12/\n\x07\x61\x63tions\x18\x01 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x19\n\x0cgoal_reached\x18\x02 \x01(\x08H\x00\x88\x01\x01\x12\x17\n\x0fgoal_confidence\x18\x03 \x01(\x01\x12\x12\n\ngoal_index\x18\x04 \x01(\r\x12\x16\n\x0egoal_abandoned\x18\x05 \x01(\x08\x12\r\n\x05state\x18\x06 \x01(\x0c\x12/\n\x05model\x18\x07 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x08 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x17\n\x0fin_distribution\x18\t \x01(\x01\x12\x0f\n\x07resized\x18\n \x01(\x08\x12\x32\n\x04\x64one\x18\x0b \x01(\x0e\x32\x1f.freerein.api.imitation.v1.DoneH\x01\x88\x01\x01\x12\x37\n\x07\x64one_by\x18\x0c \x01(\x0e\x32!.freerein.api.imitation.v1.DoneByH\x02\x88\x01\x01\x42\x0f\n\r_goal_reachedB\x07\n\x05_doneB\n\n\x08_done_by\"C\n\x14PublishPolicyRequest\x12\x11\n\x03run\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x18\n\nmodel_name\x18\x02 \x01(\tB\x04\x88\xb5\x18@\"H\n\x15PublishPolicyResponse\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\"x\n\x0e\x43ontrolRequest\x12/\n\x05hello\x18\x01 \x01(\x0b\x32 .freerein.api.imitation.v1.Hello\x12\x35\n\x08observed\x18\x02 \x01(\x0b\x32#.freerein.api.imitation.v1.Observed\"\xe8\x02\n\x05Hello\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x35\n\x07\x63\x61meras\x18\x02 \x03(\x0b\x32\x1e.freerein.api.common.v1.CameraB\x04\x90\xb5\x18\x10\x12\x32\n\x06\x61\x63tion\x18\x03 \x01(\x0b\x32\".freerein.api.common.v1.ActionSpec\x12\x14\n\x0c\x63ontrol_dt_s\x18\x04 \x01(\x01\x12*\n\x04goal\x18\x05 \x01(\x0b\x32\x1c.freerein.api.common.v1.Goal\x12\r\n\x05state\x18\x06 \x01(\x0c\x12\x1a\n\x12max_steps_per_goal\x18\x07 \x01(\r\x12\x13\n\x0bvalid_for_s\x18\x08 \x01(\x01\x12\x36\n\x06resize\x18\t \x01(\x0e\x32!.freerein.api.imitation.v1.ResizeH\x00\x88\x01\x01\x42\t\n\x07_resize\"\xb8\x01\n\x08Observed\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x38\n\x0bobservation\x18\x02 \x01(\x0b\x32#.freerein.api.common.v1.Observation\x12H\n\x10\x65xecuted_actions\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\x0e\x9a\xb5\x18\nFP32 INT64\x12\x1b\n\x13observation_time_ns\x18\x04 \x01(\x04\"\xeb\x01\n\x0f\x43ontrolResponse\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x38\n\x04spec\x18\x02 \x01(\x0b\x32*.freerein.api.imitation.v1.GetSpecResponse\x12/\n\x05\x63hunk\x18\x03 \x01(\x0b\x32 .freerein.api.imitation.v1.Chunk\x12,\n\x05\x65rror\x18\x04 \x01(\x0b\x32\x1d.freerein.api.common.v1.Error\x12\x32\n\x08\x64raining\x18\x05 \x01(\x0b\x32 .freerein.api.common.v1.Draining\"\xda\x03\n\x05\x43hunk\x12/\n\x07\x61\x63tions\x18\x01 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x19\n\x0cgoal_reached\x18\x02 \x01(\x08H\x00\x88\x01\x01\x12\x17\n\x0fgoal_confidence\x18\x03 \x01(\x01\x12\x12\n\ngoal_index\x18\x04 \x01(\r\x12\x16\n\x0egoal_abandoned\x18\x05 \x01(\x08\x12\r\n\x05state\x18\x06 \x01(\x0c\x12\x1b\n\x13observation_time_ns\x18\x07 \x01(\x04\x12\x16\n\x0evalid_until_ns\x18\x08 \x01(\x04\x12\x0f\n\x07\x64ropped\x18\t \x01(\x04\x12.\n\x06timing\x18\n \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x17\n\x0fin_distribution\x18\x0b \x01(\x01\x12\x0f\n\x07resized\x18\x0c \x01(\x08\x12\x32\n\x04\x64one\x18\r \x01(\x0e\x32\x1f.freerein.api.imitation.v1.DoneH\x01\x88\x01\x01\x12\x37\n\x07\x64one_by\x18\x0e \x01(\x0e\x32!.freerein.api.imitation.v1.DoneByH\x02\x88\x01\x01\x42\x0f\n\r_goal_reachedB\x07\n\x05_doneB\n\n\x08_done_by*e\n\x08GoalForm\x12\x19\n\x15GOAL_FORM_UNSPECIFIED\x10\x00\x12\x14\n\x10GOAL_FORM_IMAGES\x10\x01\x12\x14\n\x10GOAL_FORM_RECIPE\x10\x02\x12\x12\n\x0eGOAL_FORM_TEXT\x10\x03*A\n\x06Resize\x12\x16\n\x12RESIZE_UNSPECIFIED\x10\x00\x12\x0e\n\nRESIZE_FIT\x10\x01\x12\x0f\n\x0bRESIZE_CROP\x10\x02*I\n\x04\x44one\x12\x14\n\x10\x44ONE_UNSPECIFIED\x10\x00\x12\x0b\n\x07\x44ONE_NO\x10\x01\x12\x0c\n\x08\x44ONE_YES\x10\x02\x12\x10\n\x0c\x44ONE_UNKNOWN\x10\x03*M\n\x06\x44oneBy\x12\x17\n\x13\x44ONE_BY_UNSPECIFIED\x10\x00\x12\x12\n\x0e\x44ONE_BY_POLICY\x10\x01\x12\x16\n\x12\x44ONE_BY_STEP_LIMIT\x10\x02\x32\xa4\x03\n\x10ImitationService\x12`\n\x07GetSpec\x12).freerein.api.imitation.v1.GetSpecRequest\x1a*.freerein.api.imitation.v1.GetSpecResponse\x12T\n\x03\x41\x63t\x12%.freerein.api.imitation.v1.ActRequest\x1a&.freerein.api.imitation.v1.ActResponse\x12\x64\n\x07\x43ontrol\x12).freerein.api.imitation.v1.ControlRequest\x1a*.freerein.api.imitation.v1.ControlResponse(\x01\x30\x01\x12r\n\rPublishPolicy\x12/.freerein.api.imitation.v1.PublishPolicyRequest\x1a\x30.freerein.api.imitation.v1.PublishPolicyResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n)freerein/api/imitation/v1/imitation.proto\x12\x19\x66reerein.api.imitation.v1\x1a#freerein/api/common/v1/common.proto\"A\n\x0eGetSpecRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\"\xfb\x02\n\x0fGetSpecResponse\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12/\n\x07\x63\x61meras\x18\x02 \x03(\x0b\x32\x1e.freerein.api.common.v1.Camera\x12\x32\n\x06\x61\x63tion\x18\x03 \x01(\x0b\x32\".freerein.api.common.v1.ActionSpec\x12\x0f\n\x07horizon\x18\x04 \x01(\r\x12\x14\n\x0c\x63ontrol_dt_s\x18\x05 \x01(\x01\x12\x36\n\tgoal_form\x18\x06 \x01(\x0e\x32#.freerein.api.imitation.v1.GoalForm\x12\x0e\n\x06skills\x18\x07 \x03(\t\x12\x1a\n\x12max_steps_per_goal\x18\x08 \x01(\r\x12\x19\n\x11reached_threshold\x18\t \x01(\x01\x12\x12\n\ngoal_texts\x18\n \x03(\t\x12\x18\n\x10robot_state_size\x18\x0b \x01(\r\"\xdb\x02\n\nActRequest\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x38\n\x0bobservation\x18\x02 \x01(\x0b\x32#.freerein.api.common.v1.Observation\x12H\n\x10\x65xecuted_actions\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\x0e\x9a\xb5\x18\nFP32 INT64\x12*\n\x04goal\x18\x04 \x01(\x0b\x32\x1c.freerein.api.common.v1.Goal\x12\r\n\x05state\x18\x05 \x01(\x0c\x12\x1a\n\x12max_steps_per_goal\x18\x06 \x01(\r\x12\x36\n\x06resize\x18\x07 \x01(\x0e\x32!.freerein.api.imitation.v1.ResizeH\x00\x88\x01\x01\x42\t\n\x07_resize\"P\n\x0f\x41\x63tBatchRequest\x12=\n\x08requests\x18\x01 \x03(\x0b\x32%.freerein.api.imitation.v1.ActRequestB\x04\x90\xb5\x18@\"M\n\x10\x41\x63tBatchResponse\x12\x39\n\tresponses\x18\x01 \x03(\x0b\x32&.freerein.api.imitation.v1.ActResponse\"\xcb\x03\n\x0b\x41\x63tResponse\x12/\n\x07\x61\x63tions\x18\x01 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x19\n\x0cgoal_reached\x18\x02 \x01(\x08H\x00\x88\x01\x01\x12\x17\n\x0fgoal_confidence\x18\x03 \x01(\x01\x12\x12\n\ngoal_index\x18\x04 \x01(\r\x12\x16\n\x0egoal_abandoned\x18\x05 \x01(\x08\x12\r\n\x05state\x18\x06 \x01(\x0c\x12/\n\x05model\x18\x07 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12.\n\x06timing\x18\x08 \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x17\n\x0fin_distribution\x18\t \x01(\x01\x12\x0f\n\x07resized\x18\n \x01(\x08\x12\x32\n\x04\x64one\x18\x0b \x01(\x0e\x32\x1f.freerein.api.imitation.v1.DoneH\x01\x88\x01\x01\x12\x37\n\x07\x64one_by\x18\x0c \x01(\x0e\x32!.freerein.api.imitation.v1.DoneByH\x02\x88\x01\x01\x42\x0f\n\r_goal_reachedB\x07\n\x05_doneB\n\n\x08_done_by\"C\n\x14PublishPolicyRequest\x12\x11\n\x03run\x18\x01 \x01(\tB\x04\x88\xb5\x18@\x12\x18\n\nmodel_name\x18\x02 \x01(\tB\x04\x88\xb5\x18@\"H\n\x15PublishPolicyResponse\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\"x\n\x0e\x43ontrolRequest\x12/\n\x05hello\x18\x01 \x01(\x0b\x32 .freerein.api.imitation.v1.Hello\x12\x35\n\x08observed\x18\x02 \x01(\x0b\x32#.freerein.api.imitation.v1.Observed\"\xe8\x02\n\x05Hello\x12/\n\x05model\x18\x01 \x01(\x0b\x32 .freerein.api.common.v1.ModelRef\x12\x35\n\x07\x63\x61meras\x18\x02 \x03(\x0b\x32\x1e.freerein.api.common.v1.CameraB\x04\x90\xb5\x18\x10\x12\x32\n\x06\x61\x63tion\x18\x03 \x01(\x0b\x32\".freerein.api.common.v1.ActionSpec\x12\x14\n\x0c\x63ontrol_dt_s\x18\x04 \x01(\x01\x12*\n\x04goal\x18\x05 \x01(\x0b\x32\x1c.freerein.api.common.v1.Goal\x12\r\n\x05state\x18\x06 \x01(\x0c\x12\x1a\n\x12max_steps_per_goal\x18\x07 \x01(\r\x12\x13\n\x0bvalid_for_s\x18\x08 \x01(\x01\x12\x36\n\x06resize\x18\t \x01(\x0e\x32!.freerein.api.imitation.v1.ResizeH\x00\x88\x01\x01\x42\t\n\x07_resize\"\xb8\x01\n\x08Observed\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x38\n\x0bobservation\x18\x02 \x01(\x0b\x32#.freerein.api.common.v1.Observation\x12H\n\x10\x65xecuted_actions\x18\x03 \x01(\x0b\x32\x1e.freerein.api.common.v1.TensorB\x0e\x9a\xb5\x18\nFP32 INT64\x12\x1b\n\x13observation_time_ns\x18\x04 \x01(\x04\"\xeb\x01\n\x0f\x43ontrolResponse\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x38\n\x04spec\x18\x02 \x01(\x0b\x32*.freerein.api.imitation.v1.GetSpecResponse\x12/\n\x05\x63hunk\x18\x03 \x01(\x0b\x32 .freerein.api.imitation.v1.Chunk\x12,\n\x05\x65rror\x18\x04 \x01(\x0b\x32\x1d.freerein.api.common.v1.Error\x12\x32\n\x08\x64raining\x18\x05 \x01(\x0b\x32 .freerein.api.common.v1.Draining\"\xda\x03\n\x05\x43hunk\x12/\n\x07\x61\x63tions\x18\x01 \x01(\x0b\x32\x1e.freerein.api.common.v1.Tensor\x12\x19\n\x0cgoal_reached\x18\x02 \x01(\x08H\x00\x88\x01\x01\x12\x17\n\x0fgoal_confidence\x18\x03 \x01(\x01\x12\x12\n\ngoal_index\x18\x04 \x01(\r\x12\x16\n\x0egoal_abandoned\x18\x05 \x01(\x08\x12\r\n\x05state\x18\x06 \x01(\x0c\x12\x1b\n\x13observation_time_ns\x18\x07 \x01(\x04\x12\x16\n\x0evalid_until_ns\x18\x08 \x01(\x04\x12\x0f\n\x07\x64ropped\x18\t \x01(\x04\x12.\n\x06timing\x18\n \x01(\x0b\x32\x1e.freerein.api.common.v1.Timing\x12\x17\n\x0fin_distribution\x18\x0b \x01(\x01\x12\x0f\n\x07resized\x18\x0c \x01(\x08\x12\x32\n\x04\x64one\x18\r \x01(\x0e\x32\x1f.freerein.api.imitation.v1.DoneH\x01\x88\x01\x01\x12\x37\n\x07\x64one_by\x18\x0e \x01(\x0e\x32!.freerein.api.imitation.v1.DoneByH\x02\x88\x01\x01\x42\x0f\n\r_goal_reachedB\x07\n\x05_doneB\n\n\x08_done_by*e\n\x08GoalForm\x12\x19\n\x15GOAL_FORM_UNSPECIFIED\x10\x00\x12\x14\n\x10GOAL_FORM_IMAGES\x10\x01\x12\x14\n\x10GOAL_FORM_RECIPE\x10\x02\x12\x12\n\x0eGOAL_FORM_TEXT\x10\x03*A\n\x06Resize\x12\x16\n\x12RESIZE_UNSPECIFIED\x10\x00\x12\x0e\n\nRESIZE_FIT\x10\x01\x12\x0f\n\x0bRESIZE_CROP\x10\x02*I\n\x04\x44one\x12\x14\n\x10\x44ONE_UNSPECIFIED\x10\x00\x12\x0b\n\x07\x44ONE_NO\x10\x01\x12\x0c\n\x08\x44ONE_YES\x10\x02\x12\x10\n\x0c\x44ONE_UNKNOWN\x10\x03*M\n\x06\x44oneBy\x12\x17\n\x13\x44ONE_BY_UNSPECIFIED\x10\x00\x12\x12\n\x0e\x44ONE_BY_POLICY\x10\x01\x12\x16\n\x12\x44ONE_BY_STEP_LIMIT\x10\x02\x32\x89\x04\n\x10ImitationService\x12`\n\x07GetSpec\x12).freerein.api.imitation.v1.GetSpecRequest\x1a*.freerein.api.imitation.v1.GetSpecResponse\x12T\n\x03\x41\x63t\x12%.freerein.api.imitation.v1.ActRequest\x1a&.freerein.api.imitation.v1.ActResponse\x12\x63\n\x08\x41\x63tBatch\x12*.freerein.api.imitation.v1.ActBatchRequest\x1a+.freerein.api.imitation.v1.ActBatchResponse\x12\x64\n\x07\x43ontrol\x12).freerein.api.imitation.v1.ControlRequest\x1a*.freerein.api.imitation.v1.ControlResponse(\x01\x30\x01\x12r\n\rPublishPolicy\x12/.freerein.api.imitation.v1.PublishPolicyRequest\x1a\x30.freerein.api.imitation.v1.PublishPolicyResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -34,6 +34,8 @@ if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_ACTREQUEST'].fields_by_name['executed_actions']._loaded_options = None
   _globals['_ACTREQUEST'].fields_by_name['executed_actions']._serialized_options = b'\232\265\030\nFP32 INT64'
+  _globals['_ACTBATCHREQUEST'].fields_by_name['requests']._loaded_options = None
+  _globals['_ACTBATCHREQUEST'].fields_by_name['requests']._serialized_options = b'\220\265\030@'
   _globals['_PUBLISHPOLICYREQUEST'].fields_by_name['run']._loaded_options = None
   _globals['_PUBLISHPOLICYREQUEST'].fields_by_name['run']._serialized_options = b'\210\265\030@'
   _globals['_PUBLISHPOLICYREQUEST'].fields_by_name['model_name']._loaded_options = None
@@ -42,36 +44,40 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_HELLO'].fields_by_name['cameras']._serialized_options = b'\220\265\030\020'
   _globals['_OBSERVED'].fields_by_name['executed_actions']._loaded_options = None
   _globals['_OBSERVED'].fields_by_name['executed_actions']._serialized_options = b'\232\265\030\nFP32 INT64'
-  _globals['_GOALFORM']._serialized_start=2900
-  _globals['_GOALFORM']._serialized_end=3001
-  _globals['_RESIZE']._serialized_start=3003
-  _globals['_RESIZE']._serialized_end=3068
-  _globals['_DONE']._serialized_start=3070
-  _globals['_DONE']._serialized_end=3143
-  _globals['_DONEBY']._serialized_start=3145
-  _globals['_DONEBY']._serialized_end=3222
+  _globals['_GOALFORM']._serialized_start=3061
+  _globals['_GOALFORM']._serialized_end=3162
+  _globals['_RESIZE']._serialized_start=3164
+  _globals['_RESIZE']._serialized_end=3229
+  _globals['_DONE']._serialized_start=3231
+  _globals['_DONE']._serialized_end=3304
+  _globals['_DONEBY']._serialized_start=3306
+  _globals['_DONEBY']._serialized_end=3383
   _globals['_GETSPECREQUEST']._serialized_start=109
   _globals['_GETSPECREQUEST']._serialized_end=174
   _globals['_GETSPECRESPONSE']._serialized_start=177
   _globals['_GETSPECRESPONSE']._serialized_end=556
   _globals['_ACTREQUEST']._serialized_start=559
   _globals['_ACTREQUEST']._serialized_end=906
-  _globals['_ACTRESPONSE']._serialized_start=909
-  _globals['_ACTRESPONSE']._serialized_end=1368
-  _globals['_PUBLISHPOLICYREQUEST']._serialized_start=1370
-  _globals['_PUBLISHPOLICYREQUEST']._serialized_end=1437
-  _globals['_PUBLISHPOLICYRESPONSE']._serialized_start=1439
-  _globals['_PUBLISHPOLICYRESPONSE']._serialized_end=1511
-  _globals['_CONTROLREQUEST']._serialized_start=1513
-  _globals['_CONTROLREQUEST']._serialized_end=1633
-  _globals['_HELLO']._serialized_start=1636
-  _globals['_HELLO']._serialized_end=1996
-  _globals['_OBSERVED']._serialized_start=1999
-  _globals['_OBSERVED']._serialized_end=2183
-  _globals['_CONTROLRESPONSE']._serialized_start=2186
-  _globals['_CONTROLRESPONSE']._serialized_end=2421
-  _globals['_CHUNK']._serialized_start=2424
-  _globals['_CHUNK']._serialized_end=2898
-  _globals['_IMITATIONSERVICE']._serialized_start=3225
-  _globals['_IMITATIONSERVICE']._serialized_end=3645
+  _globals['_ACTBATCHREQUEST']._serialized_start=908
+  _globals['_ACTBATCHREQUEST']._serialized_end=988
+  _globals['_ACTBATCHRESPONSE']._serialized_start=990
+  _globals['_ACTBATCHRESPONSE']._serialized_end=1067
+  _globals['_ACTRESPONSE']._serialized_start=1070
+  _globals['_ACTRESPONSE']._serialized_end=1529
+  _globals['_PUBLISHPOLICYREQUEST']._serialized_start=1531
+  _globals['_PUBLISHPOLICYREQUEST']._serialized_end=1598
+  _globals['_PUBLISHPOLICYRESPONSE']._serialized_start=1600
+  _globals['_PUBLISHPOLICYRESPONSE']._serialized_end=1672
+  _globals['_CONTROLREQUEST']._serialized_start=1674
+  _globals['_CONTROLREQUEST']._serialized_end=1794
+  _globals['_HELLO']._serialized_start=1797
+  _globals['_HELLO']._serialized_end=2157
+  _globals['_OBSERVED']._serialized_start=2160
+  _globals['_OBSERVED']._serialized_end=2344
+  _globals['_CONTROLRESPONSE']._serialized_start=2347
+  _globals['_CONTROLRESPONSE']._serialized_end=2582
+  _globals['_CHUNK']._serialized_start=2585
+  _globals['_CHUNK']._serialized_end=3059
+  _globals['_IMITATIONSERVICE']._serialized_start=3386
+  _globals['_IMITATIONSERVICE']._serialized_end=3907
 # @@protoc_insertion_point(module_scope)

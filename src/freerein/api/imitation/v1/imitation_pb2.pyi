@@ -283,6 +283,54 @@ class ActRequest(_message.Message):
 Global___ActRequest: _TypeAlias = ActRequest  # noqa: Y015
 
 @_typing.final
+class ActBatchRequest(_message.Message):
+    """Requests of several robots."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    REQUESTS_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def requests(self) -> _containers.RepeatedCompositeFieldContainer[Global___ActRequest]:
+        """At least one."""
+
+    def __init__(
+        self,
+        *,
+        requests: _abc.Iterable[Global___ActRequest] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["requests", b"requests"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ActBatchRequest: _TypeAlias = ActBatchRequest  # noqa: Y015
+
+@_typing.final
+class ActBatchResponse(_message.Message):
+    """Replies to several robots."""
+
+    DESCRIPTOR: _descriptor.Descriptor
+
+    RESPONSES_FIELD_NUMBER: _builtins.int
+    @_builtins.property
+    def responses(self) -> _containers.RepeatedCompositeFieldContainer[Global___ActResponse]:
+        """A reply to each request, in their order."""
+
+    def __init__(
+        self,
+        *,
+        responses: _abc.Iterable[Global___ActResponse] | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["responses", b"responses"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    def WhichOneof(self, oneof_group: _Never) -> None: ...
+
+Global___ActBatchResponse: _TypeAlias = ActBatchResponse  # noqa: Y015
+
+@_typing.final
 class ActResponse(_message.Message):
     """The next actions."""
 

@@ -45,6 +45,11 @@ class ImitationServiceStub(object):
                 request_serializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActRequest.SerializeToString,
                 response_deserializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActResponse.FromString,
                 _registered_method=True)
+        self.ActBatch = channel.unary_unary(
+                '/freerein.api.imitation.v1.ImitationService/ActBatch',
+                request_serializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActBatchRequest.SerializeToString,
+                response_deserializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActBatchResponse.FromString,
+                _registered_method=True)
         self.Control = channel.stream_stream(
                 '/freerein.api.imitation.v1.ImitationService/Control',
                 request_serializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ControlRequest.SerializeToString,
@@ -71,6 +76,14 @@ class ImitationServiceServicer(object):
     def Act(self, request, context):
         """Returns the next actions. Calls are stateless: the policy state is returned and sent back as `state`, so that any
         replica can answer the next call.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ActBatch(self, request, context):
+        """Returns the next actions of several robots or environments, as `Act` of each, in one batch of their own: equal calls
+        have equal replies, to the bit, whatever else the service computes. All are of one model; an error is of all.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -104,6 +117,11 @@ def add_ImitationServiceServicer_to_server(servicer, server):
                     servicer.Act,
                     request_deserializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActRequest.FromString,
                     response_serializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActResponse.SerializeToString,
+            ),
+            'ActBatch': grpc.unary_unary_rpc_method_handler(
+                    servicer.ActBatch,
+                    request_deserializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActBatchRequest.FromString,
+                    response_serializer=freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActBatchResponse.SerializeToString,
             ),
             'Control': grpc.stream_stream_rpc_method_handler(
                     servicer.Control,
@@ -171,6 +189,33 @@ class ImitationService(object):
             '/freerein.api.imitation.v1.ImitationService/Act',
             freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActRequest.SerializeToString,
             freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ActBatch(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/freerein.api.imitation.v1.ImitationService/ActBatch',
+            freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActBatchRequest.SerializeToString,
+            freerein_dot_api_dot_imitation_dot_v1_dot_imitation__pb2.ActBatchResponse.FromString,
             options,
             channel_credentials,
             insecure,

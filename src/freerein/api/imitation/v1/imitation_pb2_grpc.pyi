@@ -39,6 +39,10 @@ class ImitationServiceStub:
     """Returns the next actions. Calls are stateless: the policy state is returned and sent back as `state`, so that any
     replica can answer the next call.
     """
+    ActBatch: _grpc.UnaryUnaryMultiCallable[_imitation_pb2.ActBatchRequest, _imitation_pb2.ActBatchResponse]
+    """Returns the next actions of several robots or environments, as `Act` of each, in one batch of their own: equal calls
+    have equal replies, to the bit, whatever else the service computes. All are of one model; an error is of all.
+    """
     Control: _grpc.StreamStreamMultiCallable[_imitation_pb2.ControlRequest, _imitation_pb2.ControlResponse]
     """A stream for a robot's control loop: a Hello, then observations. A newer observation replaces one that waits;
     replaced ones are counted. An invalid observation is answered by an error, and the stream continues.
@@ -58,6 +62,10 @@ class ImitationServiceAsyncStub(ImitationServiceStub):
     Act: _aio.UnaryUnaryMultiCallable[_imitation_pb2.ActRequest, _imitation_pb2.ActResponse]  # type: ignore[assignment]
     """Returns the next actions. Calls are stateless: the policy state is returned and sent back as `state`, so that any
     replica can answer the next call.
+    """
+    ActBatch: _aio.UnaryUnaryMultiCallable[_imitation_pb2.ActBatchRequest, _imitation_pb2.ActBatchResponse]  # type: ignore[assignment]
+    """Returns the next actions of several robots or environments, as `Act` of each, in one batch of their own: equal calls
+    have equal replies, to the bit, whatever else the service computes. All are of one model; an error is of all.
     """
     Control: _aio.StreamStreamMultiCallable[_imitation_pb2.ControlRequest, _imitation_pb2.ControlResponse]  # type: ignore[assignment]
     """A stream for a robot's control loop: a Hello, then observations. A newer observation replaces one that waits;
@@ -87,6 +95,16 @@ class ImitationServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_imitation_pb2.ActResponse, _abc.Awaitable[_imitation_pb2.ActResponse]]:
         """Returns the next actions. Calls are stateless: the policy state is returned and sent back as `state`, so that any
         replica can answer the next call.
+        """
+
+    @_abc_1.abstractmethod
+    def ActBatch(
+        self,
+        request: _imitation_pb2.ActBatchRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_imitation_pb2.ActBatchResponse, _abc.Awaitable[_imitation_pb2.ActBatchResponse]]:
+        """Returns the next actions of several robots or environments, as `Act` of each, in one batch of their own: equal calls
+        have equal replies, to the bit, whatever else the service computes. All are of one model; an error is of all.
         """
 
     @_abc_1.abstractmethod
