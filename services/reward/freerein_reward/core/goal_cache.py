@@ -2,7 +2,7 @@
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,6 @@ import numpy.typing as npt
 from freerein.types.common import ModelRef
 from freerein_reward.core.models import RewardModel
 
-_TEXTS_AT_ONCE = 128
 _CHARACTER_BYTES = 8  # at most 4 in the text, and 4 in the UTF-8 form that it may come to hold
 _ENTRY_BYTES = 600  # upper bound of Python's overhead per entry
 
@@ -50,14 +49,12 @@ class GoalCache:
             return self._entries.get((ref, text))
 
     def embed(self, ref: ModelRef, model: RewardModel, texts: Iterable[str]) -> dict[str, GoalEmbedding]:
-        """Returns the embedding of each text; missing ones are computed in batches, duplicates once."""
+        """Returns the embedding of each text; missing ones are computed alone, so that no other text changes a bit."""
         cached = {text: self.find(ref, text) for text in texts}
         found = {text: embedding for text, embedding in cached.items() if embedding is not None}
-        missing = [text for text in cached if text not in found]
-        for start in range(0, len(missing), _TEXTS_AT_ONCE):
-            for text, embedding in _embed(model, missing[start : start + _TEXTS_AT_ONCE]):
-                found[text] = embedding
-                self._add(ref, text, embedding)
+        for text in [text for text in cached if text not in found]:
+            found[text] = _embed(model, text)
+            self._add(ref, text, found[text])
         return found
 
     def _add(self, ref: ModelRef, text: str, embedding: GoalEmbedding) -> None:
@@ -71,13 +68,11 @@ class GoalCache:
                 self.held_bytes -= _size(oldest, dropped)
 
 
-def _embed(model: RewardModel, texts: Sequence[str]) -> Iterator[tuple[str, GoalEmbedding]]:
-    vectors, truncated = model.embed_texts(texts)
-    if vectors.ndim != 2 or len(vectors) != len(texts) or truncated.shape != (len(texts),):
-        raise ValueError(f"the model returned {vectors.shape} and {truncated.shape} for {len(texts)} texts")
-    for text, vector, is_cut in zip(texts, vectors, truncated, strict=True):
-        own = vector.astype(np.float32, copy=True)  # not a view of the batch
-        yield text, GoalEmbedding(own, bool(is_cut))
+def _embed(model: RewardModel, text: str) -> GoalEmbedding:
+    vectors, truncated = model.embed_texts([text])
+    if vectors.ndim != 2 or len(vectors) != 1 or truncated.shape != (1,):
+        raise ValueError(f"the model returned {vectors.shape} and {truncated.shape} for one text")
+    return GoalEmbedding(vectors[0].astype(np.float32), bool(truncated[0]))
 
 
 def _size(text: str, embedding: GoalEmbedding) -> int:
