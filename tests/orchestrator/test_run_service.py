@@ -40,7 +40,7 @@ class Orchestrator:
     Attributes:
         between: Called after all states were read from the database, and before anything is made of them.
         full: Whether the disk refuses the ends of runs.
-        away: Whether the database refuses to queue a run again.
+        away: Whether the database refuses to queue a run, or to queue it again.
         needed: A run that another builds on.
         attempts: How the next attempts end; then they wait to be interrupted.
         is_attempted: Set when an attempt begins.
@@ -121,6 +121,11 @@ class InterferedQueue(DbosQueue):
             raise Unavailable("The database of the runs must be within reach.")
         super().resume(run_id)
 
+    def start(self, run_id: str) -> None:
+        if self._test.away:
+            raise Unavailable("The database of the runs must be within reach.")
+        super().start(run_id)
+
 
 @pytest_asyncio.fixture
 async def orchestrator(tmp_path: Path) -> AsyncIterator[Orchestrator]:
@@ -181,10 +186,36 @@ async def test_a_known_key_is_its_run_whatever_may_no_longer_be_started(orchestr
         await orchestrator.start("other")
 
 
+@pytest.mark.fault("O9")
+async def test_a_run_that_could_not_be_queued_leaves_nothing_but_one_with_a_key_is_queued_by_the_next_call(
+    orchestrator,
+):
+    orchestrator.away = True
+    for key in ("", "key"):
+        with pytest.raises(Unavailable):
+            await orchestrator.start(key)
+    (kept,) = orchestrator.store.unfinished()
+    orchestrator.away = False
+    assert await orchestrator.start("key") == kept
+
+
+async def test_a_run_that_a_kill_kept_from_the_database_is_queued_at_the_next_start(tmp_path):
+    orchestrator = Orchestrator(tmp_path)
+    config = {"kind": "ppo", "config": {}, "steps": 1}
+    kept, begun = (orchestrator.store.create(vars(StartRunRequest("ppo", {}, key)), config) for key in ("key", ""))
+    orchestrator.store.record(begun, "running")  # with another database
+    await orchestrator.runs.start()
+    assert [run.id for run in (await orchestrator.runs.list_runs(ListRunsRequest())).runs] == [kept]
+    assert await orchestrator.start("key") == kept
+    await orchestrator.runs.close()
+
+
 async def test_the_key_of_a_run_that_was_deleted_starts_nothing(orchestrator):
     orchestrator.attempts.append(AttemptResult("succeeded"))
     run_id = await orchestrator.start("key")
     assert (await orchestrator.watch(run_id))[-1] == "succeeded"
+    while orchestrator.queue.status(run_id).state == "running":  # noqa: ASYNC110 -- nobody is told
+        await asyncio.sleep(0.01)
     shutil.rmtree(orchestrator.store.folder(run_id))
     with pytest.raises(AlreadyExists):
         await orchestrator.start("key")

@@ -109,6 +109,8 @@ class RunService:
                 await self._health.await_or_drain(asyncio.sleep(_REOPEN_S))
                 continue
             self._reason = ""
+            with suppress(ServiceError):  # the database is away again, or another worker has deleted one
+                await self._in_thread(self._queue_unknown)
             await self._record_ends()
             return
 
@@ -116,6 +118,14 @@ class RunService:
         """Stops the child process, which may save first; the next start resumes its run."""
         await asyncio.to_thread(self._queue.close)
         self._threads.shutdown(wait=False, cancel_futures=True)
+
+    def _queue_unknown(self) -> None:
+        """Queues the runs that a crash kept from the database, before anybody was told of them."""
+        unfinished = self._store.unfinished()
+        known = self._queue.states(unfinished)
+        for run_id in unfinished:
+            if run_id not in known and self._store.last(run_id).state == "queued":
+                self._queue.start(run_id)
 
     async def _record_ends(self) -> None:
         """Reads every run, which records the ends that no worker could."""
@@ -142,7 +152,13 @@ class RunService:
 
         def start() -> orchestrator.Run:
             run_id = self._store.find(vars(request)) or self._create(request)
-            self._queue.start(run_id)
+            try:
+                self._queue.start(run_id)
+            except (Unavailable, OutOfStorage):
+                if not request.idempotency_key:  # by which the same call would start it
+                    with suppress(ServiceError, OSError):
+                        self._store.delete(run_id)
+                raise
             return self._run(run_id)
 
         return orchestrator.StartRunResponse(await self._in_thread(start))
