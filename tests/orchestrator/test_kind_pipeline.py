@@ -11,7 +11,7 @@ import pytest
 
 from freerein.clients import Channel, FitClient, SyncClient
 from freerein.data import Dataset, dataset_path
-from freerein.errors import InvalidInput, NotFound, OutOfStorage
+from freerein.errors import InvalidInput, NotFound, OutOfStorage, ServiceError
 from freerein.types.learning import Fit, ListFitsRequest
 from freerein_orchestrator.kinds import KINDS
 
@@ -24,6 +24,8 @@ COLLECT = {
 }
 FIT = {"name": "fit", "kind": "fit", "config": {"service": "imitation", "dataset": "play", "config": TINY}}
 CHANCE = {"name": "chance", "kind": "evaluate", "config": {"task": "grid", "policy": "random", "episodes": 2}}
+LACKING = {"task": "grid", "policy": "random", "form": "landmarks"}
+"""An evaluation that needs predicates that the task lacks."""
 FITTED = {"name": "fitted", "kind": "evaluate", "config": {"task": "grid", "policy": {"run": "fit"}}}
 
 
@@ -95,14 +97,14 @@ def test_a_fit_begins_beside_the_steps_that_it_does_not_come_after_and_is_cancel
         }
 
     many = CHANCE | {"config": CHANCE["config"] | {"episodes": 100_000}}
-    lost = CHANCE | {"name": "lost", "config": {"task": "nothing", "policy": "random"}}
+    lost = CHANCE | {"name": "lost", "config": LACKING}
     run = new_run(data_dir, "pipeline", {"steps": [collect("walk"), many, long("walk")]}, **addresses)
     assert not run.do(stop=lambda: any(fit.state == "running" for fit in fits()))
     assert [each.parent.name for each in run.folder.glob("parts/*/done.json")] == ["play"]
     assert not run.do(stop=lambda: True, cancelled=True)
     (fit,) = fits()
     assert fit.state == "cancelled"
-    with pytest.raises(NotFound):
+    with pytest.raises(InvalidInput):
         new_run(data_dir, "pipeline", {"steps": [collect("again"), lost, long("again")]}, **addresses).do()
     begun, _ = fits()
     assert (begun.id != fit.id, begun.state) == (True, "cancelled")
@@ -130,8 +132,8 @@ def test_the_seconds_of_a_step_are_those_of_all_its_attempts(
     new_run: Callable[..., Any], sim: str, tmp_path: Path
 ) -> None:
     run = new_run(tmp_path, "pipeline", {"steps": [CHANCE]}, FREEREIN_SIM_ADDRESS=sim)
-    assert not run.do(stop=lambda: True)
     spent = run.folder / "parts" / "chance" / "seconds"
+    assert not run.do(stop=spent.parent.is_dir)
     spent.write_text("1000.0")
     assert run.do()
     (row,) = run.artifact("steps.json")
@@ -177,11 +179,29 @@ def test_what_is_no_pipeline_is_refused(steps: Any) -> None:
 
 
 def test_a_step_that_fails_says_which_one_it_is(new_run: Callable[..., Any], sim: str, tmp_path: Path) -> None:
-    steps = [CHANCE, CHANCE | {"name": "lost", "config": {"task": "nothing", "policy": "random"}}]
-    run = new_run(tmp_path, "pipeline", {"steps": steps}, FREEREIN_SIM_ADDRESS=sim)
-    with pytest.raises(NotFound, match="In step lost: "):
+    run = new_run(
+        tmp_path,
+        "pipeline",
+        {"steps": [CHANCE, CHANCE | {"name": "lost", "config": LACKING}]},
+        FREEREIN_SIM_ADDRESS=sim,
+    )
+    with pytest.raises(InvalidInput, match="In step lost: "):
         run.do()
     assert (run.folder / "parts" / "chance" / "done.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "error"), [({"task": "nothing"}, NotFound), ({"conditions": ["blur", "fog"]}, InvalidInput)]
+)
+def test_a_task_of_a_later_step_or_a_condition_that_there_is_none_of_is_refused_before_the_first_step(
+    new_run: Callable[..., Any], sim: str, tmp_path: Path, change: dict[str, Any], error: type[ServiceError]
+) -> None:
+    lost = CHANCE | {"name": "lost", "config": CHANCE["config"] | change}
+    run = new_run(tmp_path, "pipeline", {"steps": [CHANCE, lost]}, FREEREIN_SIM_ADDRESS=sim)
+    with pytest.raises(error, match=r"In step lost: .* got `(nothing|fog)`") as refused:
+        run.do()
+    assert refused.value.field.startswith("config.steps.config.")
+    assert not run.rows
 
 
 @pytest.mark.fault("O5")

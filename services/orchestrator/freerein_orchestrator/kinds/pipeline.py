@@ -20,9 +20,11 @@ from functools import partial
 from typing import Any
 
 from freerein.atomic_files import fsync_folder, storage_errors, write_atomic
+from freerein.clients.tasks import select_task
 from freerein.config import parse
-from freerein.errors import InvalidInput, ServiceError
+from freerein.errors import InvalidInput, ServiceError, must_be, quoted
 from freerein.types.common import check_name
+from freerein.types.sim import ListTasksRequest
 from freerein_orchestrator.kinds.context import RunContext
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.metrics_logger import last_step
@@ -131,6 +133,7 @@ def _run(kinds: Mapping[Any, Kind[Any]], context: RunContext, pipeline: Pipeline
     """Runs the steps that are not done; cancels the fits that have begun where the run is cancelled or fails."""
     done = 0
     try:
+        _check_tasks(context, _to_do(context, pipeline))
         for step in pipeline.steps:
             _begin(kinds, context, _to_do(context, pipeline))
             with _step_errors(step.name), storage_errors():
@@ -148,6 +151,22 @@ def _run(kinds: Mapping[Any, Kind[Any]], context: RunContext, pipeline: Pipeline
     except ServiceError:  # the run fails
         _cancel(kinds, context, _to_do(context, pipeline))
         raise
+
+
+def _check_tasks(context: RunContext, steps: Sequence[Step]) -> None:
+    """Checks that there are the tasks of all steps, with their conditions, before hours are spent on the first ones."""
+    asked = [step for step in steps if getattr(step.config, "task", "")]
+    if not asked:
+        return
+    sim = context.client("sim")
+    tasks = context.retry().call(lambda: sim.list_tasks(ListTasksRequest()))
+    for step in asked:
+        with _step_errors(step.name):
+            task = select_task(tasks, step.config.task, field="config.task")
+            unknown = sorted({*getattr(step.config, "conditions", ())}.difference(task.conditions))
+            if unknown:
+                rule, hint = f"among those of {task.name}", f"It has {', '.join(task.conditions) or 'none'}."
+                raise must_be("conditions", rule, quoted(unknown[0]), field="config.conditions", hint=hint)
 
 
 def _begin(kinds: Mapping[Any, Kind[Any]], context: RunContext, steps: Sequence[Step]) -> None:
