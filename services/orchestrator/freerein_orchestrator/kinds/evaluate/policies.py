@@ -31,7 +31,8 @@ class RunPolicy:
     """The policy that a run has made.
 
     Attributes:
-        run: A run's id, or an earlier step of the pipeline; it has trained a policy, or fitted an imitation model.
+        run: A run's id, or an earlier step of the pipeline; it has succeeded in training a policy, or in fitting an
+            imitation model.
         goal_text: The goal of such a model.
         stochastic: Whether actions of a ppo run's policy are sampled; else the most likely one is taken.
     """
