@@ -74,8 +74,8 @@ async def test_items_of_one_call_share_a_batch_with_no_others(batcher: Batcher[i
     await asyncio.gather(first, other)
     assert model.batches == [[0], [1], [2, 7, 3]]
     assert [each.output if isinstance(each, BatchResult) else each.code for each in done] == [4, "invalid_input", 6]
-    with pytest.raises(Overloaded):
-        await batcher.submit_batch(range(5))
+    await batcher.submit_batch(range(21, 26))
+    assert model.batches[3:] == [[21, 22, 23], [24, 25]]
 
 
 async def test_a_lone_item_runs_at_once_and_alone(batcher: Batcher[int, int]) -> None:

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar
 
 from freerein.errors import DeadlineExceeded, ModelFault, Overloaded, ServiceError, Unavailable
 from freerein.serving.limits import Limits
@@ -133,20 +133,24 @@ class Batcher(Generic[I, O]):
     async def submit_batch(self, items: Sequence[I]) -> list[BatchResult[O] | ServiceError]:
         """Returns the model's outputs, or errors as of `submit`, for items that share a batch with no others.
 
-        So equal items have equal outputs, to the bit. More than a batch holds are several, in order.
+        So equal items have equal outputs, to the bit. More than a batch or the queue holds are several, one after the
+        other.
 
         Raises:
-            Overloaded: The queue has no room for all.
+            Overloaded: The queue has no room for a batch.
             Unavailable: The batcher is closed.
         """
-        queued = self._enqueue(items, key=object(), timeout_s=None)
-        try:
-            found = await asyncio.gather(*(each.future for each in queued), return_exceptions=True)
-        except asyncio.CancelledError:
-            for each in queued:
-                self._remove(each)
-            raise
-        return cast("list[BatchResult[O] | ServiceError]", found)
+        found: list[Any] = []
+        size = min(self._max_batch, self._max_queue)
+        for first in range(0, len(items), size):
+            queued = self._enqueue(items[first : first + size], key=object(), timeout_s=None)
+            try:
+                found += await asyncio.gather(*(each.future for each in queued), return_exceptions=True)
+            except asyncio.CancelledError:
+                for each in queued:
+                    self._remove(each)
+                raise
+        return found
 
     def _enqueue(self, items: Sequence[I], *, key: Hashable, timeout_s: float | None) -> "list[_QueuedItem[I, O]]":
         """Queues items one behind the other."""
