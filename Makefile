@@ -29,12 +29,12 @@ check: dev stubs-fresh ## Lint, format, types, import contracts, proto, its stub
 	$(BIN)/buf breaking proto --against proto/released.binpb
 	tools/page check
 
-# Half of a worker's time is waiting: for other processes, deadlines, leases.
-WORKERS = $(shell expr $$(nproc) \* 2)
+# Most of a worker's time is waiting: for other processes, deadlines, leases.
+WORKERS = $(shell expr $$(nproc) \* 3)
 
 PARALLEL = --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-test: dev ## Run the tests, a file at a time on each worker; two workers for each core
+test: dev ## Run the tests, a file at a time on each worker; three workers for each core
 	$(BIN)/pytest $(PARALLEL) -m "not long"
 
 test-long: dev ## Run the tests that take long by nature; commit tests/long-tests.sha256 when they have passed

@@ -35,6 +35,8 @@ TEACHERS = {"a" * 32: "pick up all", "b" * 32: "pick up nothing"}
 TINY = {"steps": 6, "batch_size": 2, "features": 8, "text_features": 4, "hidden_size": 8, "log_every": 2}
 DISTILL = {"teachers": list(TEACHERS), "rollouts": 2, "num_envs": 2, "dataset": "rollouts", "config": TINY}
 TWICE = {"dagger_iterations": 1}
+NOWHERE = "127.0.0.1:9"
+"""Where no service listens."""
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +64,7 @@ def data_dir(tmp_path: Path) -> Path:
 def distillation(new_run: Callable[..., Any], data_dir: Path, sim: str) -> Callable[..., Any]:
     """A function that makes a run of a configuration."""
 
-    def new(*, imitation: str = "", reward: str = "", **changes: Any) -> Any:
+    def new(*, imitation: str = NOWHERE, reward: str = NOWHERE, **changes: Any) -> Any:
         addresses = {"sim": sim, "imitation": imitation, "reward": reward}
         environ = {f"FREEREIN_{service.upper()}_ADDRESS": address for service, address in addresses.items()}
         return new_run(data_dir, "distill", DISTILL | changes, **environ)

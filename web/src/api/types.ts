@@ -7,6 +7,14 @@ export type Sent<T> = T extends readonly (infer Item)[]
     ? { [Key in keyof T]?: Sent<T[Key]> }
     : T;
 
+export interface ActBatchRequest {
+  requests: readonly ActRequest[];
+}
+
+export interface ActBatchResponse {
+  responses: readonly ActResponse[];
+}
+
 export interface ActRequest {
   model: ModelRef | null;
   observation: Observation | null;
@@ -702,6 +710,7 @@ export interface Calls {
   "segmentation/delete-model": { request: Sent<DeleteModelRequest>; reply: DeleteModelResponse };
   "imitation/get-spec": { request: { "model.name"?: string; "model.version"?: string }; reply: GetSpecResponse };
   "imitation/act": { request: Sent<ActRequest>; reply: ActResponse };
+  "imitation/act-batch": { request: Sent<ActBatchRequest>; reply: ActBatchResponse };
   "imitation/publish-policy": { request: Sent<PublishPolicyRequest>; reply: PublishPolicyResponse };
   "imitation/start-fit": { request: Sent<StartFitRequest>; reply: StartFitResponse };
   "imitation/get-fit": { request: { "id"?: string }; reply: GetFitResponse };
