@@ -215,11 +215,12 @@ def _earlier(arm: Arm) -> dict[str, int]:
 
 
 def _label_at_random(arm: Arm, root: Path) -> None:
-    """Labels each timestep by a random skill, where predicted labels lie: the dissertation's Random."""
-    skills, rng = tasks()[arm.world].spec.skills, np.random.default_rng(arm.seed)
+    """Labels equal parts of each demonstration by its skills in a random order, where predicted labels lie."""
+    skills, rng, dataset = tasks()[arm.world].spec.skills, np.random.default_rng(arm.seed), Dataset(root)
     with LabelsWriter(root, name=RANDOM_LABELS) as writer:
-        for index, length in enumerate(Dataset(root).lengths):
-            writer.save(index, rng.integers(len(skills), size=length))
+        for index, length in enumerate(dataset.lengths):
+            order = rng.permutation([skills.index(each) for each in dataset.skills[index]])
+            writer.save(index, order[np.arange(length) * len(order) // length])
         writer.finish(LabelsInfo(skills, ModelRef(RANDOM_LABELS, "")))
 
 
