@@ -1,4 +1,4 @@
-"""The allocator of a job's child process."""
+"""The allocator of services and of the child processes of jobs."""
 
 import ctypes
 import threading
@@ -13,8 +13,8 @@ _KEPT_S = 60.0
 def keep_freed_memory(*, kept_s: float = _KEPT_S) -> None:
     """Makes glibc keep the memory that this process frees, and return it to the kernel once in `kept_s` seconds.
 
-    By default glibc returns arrays above 32 MB as soon as they are freed, and each optimiser update pays for new
-    pages. If freed memory were never returned, arrays of ever different sizes would leave ever more gaps: an encoder
+    By default glibc returns large arrays as soon as they are freed, and each optimiser update or model call pays for
+    new pages. If freed memory were never returned, arrays of ever different sizes would leave ever more gaps: an encoder
     that was trained on batches of many lengths had five times what it used. Changes nothing where the C library has
     no `mallopt`.
     """

@@ -24,6 +24,7 @@ from pydantic import ValidationError
 
 from freerein import program
 from freerein.errors import AlreadyExists, FailedPrecondition, InvalidInput, NotFound, ServiceError, Unimplemented
+from freerein.jobs.allocator import keep_freed_memory
 from freerein.ports import Ports, moved
 from freerein.serving import logs
 from freerein.serving.environment import reasons
@@ -98,6 +99,7 @@ def run(name: str, settings_class: type[S], build: Build[S]) -> NoReturn:
     except ValidationError as error:
         program.end(_cannot_start(reasons(error), CONFIGURATION_ERROR))
     logs.set_level(settings.log_level)
+    keep_freed_memory()
     uvloop.run(_serve_and_end(settings, build))
 
 
