@@ -20,7 +20,7 @@ from experiments.workbench.configs import Config
 from experiments.workbench.plots import interval_plot
 from experiments.workbench.results import ArmResult, Outcome, Sample
 from experiments.workbench.table import Picture, Section, Table, words
-from freerein.criteria import CRITERIA, View
+from freerein.criteria import CRITERIA, View, criteria
 from freerein.criterion_text import Claim as Said
 from freerein.criterion_text import CriterionCaption
 from freerein_reward.methods.criterion_captions.config import CriterionConfig
@@ -31,9 +31,9 @@ from freerein_reward.methods.criterion_captions.method import METHOD, network_sp
 
 MODEL, RULE = "criterion_captions", "rule"
 _TRAINING, _TEST = PuckScenes(count=1500, seed=2), PuckScenes(count=300, seed=1_000_002)
-_SEEDS, _VERSION, _PER_CENT = 3, 1, 100
+_SEEDS, _VERSION, _PER_CENT = 3, 2, 100
 _VIEWS = ("front", "left", "front")
-_WIDTH, _ASPECT, _SHOWN = 0.095, 1.0, 0.5
+_WIDTH, _CONTAINER, _ASPECT, _SHOWN = 0.117, 2.4, 1.0, 0.5
 _LEAST = 85.0
 
 Flags = npt.NDArray[np.bool_]
@@ -89,8 +89,9 @@ class NineCriteria(Experiment):
 
 
 def _fit_config(seed: int) -> CriterionConfig:
-    given = {"phrases": list(PHRASES), "cameras": list(CAMERAS), "views": list(_VIEWS), "object_widths": [_WIDTH]}
-    return CriterionConfig.from_mapping({**given, "seed": seed})
+    seen = {"cameras": list(CAMERAS), "views": list(_VIEWS)}
+    widths = {"object_widths": [_WIDTH], "container_width": _CONTAINER}
+    return CriterionConfig.from_mapping({"phrases": list(PHRASES), **seen, **widths, "seed": seed})
 
 
 def _fit_model(config: CriterionConfig, work: Path, on_progress: Callable[[], None]) -> CriterionModel | None:
@@ -99,7 +100,9 @@ def _fit_model(config: CriterionConfig, work: Path, on_progress: Callable[[], No
 
     def make_learner() -> CriterionLearner:
         grounding, drawn = open_grounding(), open_or_draw(_TRAINING, work)
-        layout = view_layout(config.cameras, config.views, config.object_widths, _ASPECT)
+        layout = view_layout(
+            config.cameras, config.views, config.object_widths, _ASPECT, container_width=config.container_width
+        )
         frames = tuple(drawn.seen[camera] for camera in config.cameras)
         moments = KeypointDataset(frames, *find_keypoints(frames, grounding, config, layout), layout)
         parts = moments.split(drawn.seen["lengths"], fraction=config.validation_fraction, seed=config.seed)
@@ -128,7 +131,7 @@ def _judge_by_rule(drawn: Drawn) -> Callable[[Asked], Flags]:
     located = {camera: grounding.locate(drawn.seen[camera], PHRASES) for camera in CAMERAS}
 
     def holds(goal: Asked) -> Flags:
-        criterion, nouns = CRITERIA[goal.criterion], list(goal.nouns)
+        criterion, nouns = criteria(container_width=_CONTAINER)[goal.criterion], list(goal.nouns)
         found = located[_VIEWS[View(criterion.view)]]
         places = np.stack([found.x[:, nouns], found.y[:, nouns]], axis=2) / _WIDTH  # (M, nouns, 2)
         return np.asarray(criterion.holds(places) & (found.presence[:, nouns] >= _SHOWN).all(axis=1))

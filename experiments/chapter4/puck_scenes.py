@@ -1,10 +1,10 @@
 """Scenes of `push.scatter` in which table 4.1's nine criteria occur, and what is true in them.
 
 The grounding model knows colours, and neither pucks nor trays: things are named by colour, `a blue object`, and the
-wooden tray is `a brown object`. A colour that two things of a scene share names neither, and is not asked for.
+tray is `a cyan object`. A colour that two things of a scene share names neither, and is not asked for.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import combinations, permutations
@@ -25,13 +25,12 @@ from freerein_sim.worlds.tasks import tasks
 CAMERAS = ("front", "left")
 """The front camera looks down at 40 degrees, and is the tilted one, too; the left one is the side view."""
 
-NOUNS = (*COLOURS, "brown")
+TRAY_COLOUR = "cyan"
+NOUNS = (*COLOURS, TRAY_COLOUR)
 PHRASES = tuple(f"a {colour} object" for colour in NOUNS)
 
 _SIZE, _STEPS = 64, 4
 _HIDDEN_X_M = -2.0
-_OPPOSITES = {"left_of": "right_of", "in_front_of": "behind"}
-_OPPOSITES |= {other: one for one, other in _OPPOSITES.items()}
 
 Flags = npt.NDArray[np.bool_]
 
@@ -75,7 +74,8 @@ class Asked:
         nouns: Numbers of the nouns among `NOUNS`.
         holds: Whether it holds, bool (M,).
         counts: Where that can be asked, bool (M,): each noun names one thing, of a kind that the criterion relates.
-            Of a side or depth, one of the two must hold.
+            Of a side or depth, one of the two must hold; of what is in between, or is not, each of the others must be
+            to a side of the first.
     """
 
     criterion: str
@@ -95,9 +95,21 @@ def asked(states: npt.NDArray[np.float64]) -> Iterator[Asked]:
             fits = np.ones(len(states), np.bool_)
             for noun, related in zip(nouns, criterion.kinds, strict=True):
                 fits &= np.isin(kinds[:, noun], related)
-            if name in _OPPOSITES:
-                fits &= holds | criterion.holds(*at[::-1])
+            fits &= _is_plain(criterion, at)
             yield Asked(name, nouns, holds & fits, fits)
+
+
+def _is_plain(criterion: criteria.Criterion, at: Sequence[criteria.Place]) -> Flags:
+    """Returns where things are beside each other, or behind, by half a width; everywhere where that is not asked."""
+    first, *others = at
+    match criterion.group or criterion.name:
+        case "side" | "in-between":
+            apart = [criteria.is_left(first, each) | criteria.is_left(each, first) for each in others]
+        case "depth":
+            apart = [criteria.is_in_front(first, each) | criteria.is_in_front(each, first) for each in others]
+        case _:
+            apart = [np.ones(len(first), np.bool_)]
+    return np.asarray(np.all(apart, axis=0))
 
 
 def _tuples(size: int) -> list[tuple[int, ...]]:
@@ -115,7 +127,7 @@ def _named(states: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], np
     kinds = np.full((len(states), len(NOUNS)), "", "<U5")
     counts = np.zeros(kinds.shape, np.int64)
     for thing in EVERYTHING:
-        noun = NOUNS.index(thing.colour or "brown")
+        noun = NOUNS.index(thing.colour or TRAY_COLOUR)
         at = states[:, [names.index(f"{thing.name}.{axis}") for axis in "xyz"]]
         is_shown = at[:, 0] > _HIDDEN_X_M
         places[is_shown, noun], kinds[is_shown, noun] = at[is_shown], thing.kind

@@ -29,8 +29,9 @@ STACKED = 0.5
 """Least vertical distance between the centres of stacked objects, in object widths. The table has 0: by that, what
 stands a little farther back would be on top. The largest, eps_2, is `freerein.relations.ABOVE`."""
 
-INSIDE = 0.5
-"""Largest distance between the centres of an object and what contains it, in object widths."""
+CONTAINER = 1.0
+"""Width of what contains other things, in object widths, where nothing else is said: a thing is inside where the
+centres are less than half of it apart. What is seen of a wide tray has its centre beside the thing that lies in it."""
 
 
 class View(IntEnum):
@@ -122,7 +123,23 @@ def _as_relation(relation: SpatialRelation) -> tuple[str, ...]:
     return _after_first(*WORDINGS[relation])
 
 
-_ALL = (
+def criteria(*, container_width: float = CONTAINER) -> Mapping[str, Criterion]:
+    """Returns the nine criteria of table 4.1 by name, in its order.
+
+    Args:
+        container_width: Width of what contains other things, in object widths.
+    """
+    inside = Criterion(
+        "inside_of",
+        2,
+        View.TILTED,
+        _is_within(container_width / 2),
+        _after_first("inside of", "inside", "in", "into", "within"),
+    )
+    return MappingProxyType({each.name: each for each in (*_OTHERS, inside)})
+
+
+_OTHERS = (
     Criterion("left_of", 2, View.FRONT, _is_less, _as_relation(SpatialRelation.LEFT_OF), ("right_of",)),
     Criterion("right_of", 2, View.FRONT, _is_greater, _as_relation(SpatialRelation.RIGHT_OF), ("left_of",)),
     Criterion("on_top_of", 2, View.FRONT, _is_on_top, _as_relation(SpatialRelation.ON_TOP_OF), ("below",)),
@@ -157,14 +174,7 @@ _ALL = (
         _is_within(CLOSE),
         _after_first("close to", "near", "near to", "next to", "beside", "adjacent to"),
     ),
-    Criterion(
-        "inside_of",
-        2,
-        View.TILTED,
-        _is_within(INSIDE),
-        _after_first("inside of", "inside", "in", "into", "within"),
-    ),
 )
 
-CRITERIA: Mapping[str, Criterion] = MappingProxyType({each.name: each for each in _ALL})
-"""The nine criteria of table 4.1 by name, in its order."""
+CRITERIA = criteria()
+"""The nine criteria with the usual container."""

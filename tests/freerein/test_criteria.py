@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from freerein.criteria import CRITERIA, View
+from freerein.criteria import CRITERIA, View, criteria
 from freerein.relations import SpatialRelation, classify_relation
 
 HOLDS: dict[str, list[tuple[tuple[float, float], ...]]] = {
@@ -54,6 +54,14 @@ def test_a_margin_is_the_distance_to_the_nearest_place_of_the_other_answer_along
     assert CRITERIA["left_of"].margin(stacked) == pytest.approx(0.2)
     assert CRITERIA["right_of"].margin(stacked) == pytest.approx(-0.2)
     assert CRITERIA["close_to"].margin(np.array([[0.0, 0.0], [3.0, 4.0]])) == pytest.approx(1.9 - 5.0)
+
+
+def test_a_thing_is_inside_where_the_centres_are_less_than_half_the_container_apart() -> None:
+    apart = np.array([[0.0, 0.0], [1.1, 0.0]])
+    assert not CRITERIA["inside_of"].holds(apart)
+    assert criteria(container_width=2.4)["inside_of"].holds(apart)
+    assert not criteria(container_width=2.0)["inside_of"].holds(apart)
+    assert [*criteria(container_width=2.4)] == [*CRITERIA]
 
 
 def test_in_one_view_the_five_relations_are_made_of_criteria() -> None:

@@ -128,7 +128,14 @@ def label(labels: npt.NDArray[np.int8], claim: Claim, name: str, nouns: tuple[in
 
 
 def labels_of(keypoints: Array, shown: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
-    return label_captions(keypoints, shown, phrase_tuples(keypoints.shape[2]), views=tuple(View), tolerance=0.1)
+    return label_captions(
+        keypoints,
+        shown,
+        phrase_tuples(keypoints.shape[2]),
+        criteria=CRITERIA.values(),
+        views=tuple(View),
+        tolerance=0.1,
+    )
 
 
 def test_an_image_has_the_caption_of_every_criterion_that_holds_at_the_places_of_its_view() -> None:
@@ -146,6 +153,19 @@ def test_an_image_has_the_caption_of_every_criterion_that_holds_at_the_places_of
     assert label(labels, Claim.FAILS, "in_between", (1, 2, 0), 3) == TRUE
     assert label(labels, Claim.HOLDS, "in_front_of", (0, 2), 3) == UNKNOWN  # nearer than the tolerance
     assert label(labels, Claim.MISSING, "", (0, 1), 3) == FALSE
+
+
+def test_what_is_mostly_covered_is_not_taken_for_hidden(grounding: GradCamModel) -> None:
+    rng, count = np.random.default_rng(0), 60
+    keypoints = rng.uniform(0.15, 0.85, size=(count, 3, 2))
+    is_shown, covered = np.ones((count, 3), np.bool_), np.arange(count) % 3 == 0
+    is_shown[1::3, 0] = False
+    keypoints[covered, 1] = keypoints[covered, 0] - (0, 0.25 * SIDE / 64)  # a quarter of it is seen
+    frames = draw(keypoints, is_shown, ("red", "green", "blue"))
+    layout = view_layout(("front",), ("front", "", "front"), CONFIG.object_widths, 1.0)
+    _, shown = find_keypoints([frames], grounding, CONFIG, layout)
+    assert (shown[covered, 0, 0] == HIDDEN).mean() < 0.4
+    assert (shown[1::3, 0, 0] == HIDDEN).mean() > 0.8
 
 
 def test_of_many_phrases_some_pairs_and_triples_are_scored_at_once_and_of_few_all() -> None:

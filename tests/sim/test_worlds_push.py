@@ -37,7 +37,7 @@ SHARES = {
 """Those of the service's README."""
 
 NOTHING = np.zeros(2, np.float32)
-ON_TABLE = {"puck": 0.0125, "block": 0.025, "tray": 0.017}
+ON_TABLE = {"puck": 0.0175, "block": 0.025, "tray": 0.017}
 STARTS = 400
 
 
@@ -94,9 +94,9 @@ BLUE, YELLOW = "blue-puck", "yellow-puck"
         ({BLUE: (0, 0.03), YELLOW: (0, -0.03)}, "to the right of|close to", "to the left of"),
         ({BLUE: (0, -0.02), YELLOW: (0.2, 0)}, "behind|apart from", "to the left of|close to"),
         ({BLUE: (0.05, 0), YELLOW: (0, 0)}, "in front of|close to", "on top of|behind"),
-        ({BLUE: (0, 0.01, 0.0375), YELLOW: (0, 0)}, "on top of|close to", "below|to the right of"),
-        ({BLUE: (0, 0), YELLOW: (0.01, 0, 0.0375)}, "below|close to", "on top of|behind"),
-        ({BLUE: (0, 0, 0.0375), YELLOW: (0, 0.052)}, "close to|to the left of", "on top of"),
+        ({BLUE: (0, 0.01, 0.0525), YELLOW: (0, 0)}, "on top of|close to", "below|to the right of"),
+        ({BLUE: (0, 0), YELLOW: (0.01, 0, 0.0525)}, "below|close to", "on top of|behind"),
+        ({BLUE: (0, 0, 0.0525), YELLOW: (0, 0.052)}, "close to|to the left of", "on top of"),
         ({BLUE: (0, 0), YELLOW: (0, CLOSE_M + 0.001)}, "apart from", "close to"),
     ],
 )

@@ -14,9 +14,9 @@ def keep_freed_memory(*, kept_s: float = _KEPT_S) -> None:
     """Makes glibc keep the memory that this process frees, and return it to the kernel once in `kept_s` seconds.
 
     By default glibc returns large arrays as soon as they are freed, and each optimiser update or model call pays for
-    new pages. If freed memory were never returned, arrays of ever different sizes would leave ever more gaps: an encoder
-    that was trained on batches of many lengths had five times what it used. Changes nothing where the C library has
-    no `mallopt`.
+    new pages. If freed memory were never returned, arrays of ever different sizes would leave ever more gaps: an
+    encoder that was trained on batches of many lengths had five times what it used. Changes nothing where the C library
+    has no `mallopt`.
     """
     libc = ctypes.CDLL(None)
     if not hasattr(libc, "mallopt"):

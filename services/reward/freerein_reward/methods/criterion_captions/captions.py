@@ -55,6 +55,7 @@ def label_captions(
     shown: Labels,
     tuples: npt.NDArray[np.int64],
     *,
+    criteria: Iterable[Criterion],
     views: Iterable[View],
     tolerance: float,
 ) -> Labels:
@@ -67,6 +68,7 @@ def label_captions(
         keypoints: float (N, views, P, 2), x and y in object widths, in the order of `View`.
         shown: int8 (N, views, P), `SHOWN`, `HIDDEN` or `UNSURE`; `UNSURE` everywhere in views that there are not.
         tuples: Numbers of the phrases, int64 (T, `MAX_NOUNS`), as `phrase_tuples`.
+        criteria: What captions say.
         views: The views that there are.
         tolerance: Least margin of a sure answer, in object widths.
     """
@@ -80,7 +82,7 @@ def label_captions(
         nouns = tuples[of_size, :size]  # (t, size)
         any_gone, all_there = is_gone[:, nouns].any(axis=2), is_there[:, nouns].all(axis=2)  # (N, t)
         labels[:, of_size, STATEMENTS.index((Claim.MISSING, ""))] = _decided(any_gone, all_there)
-        for criterion in (each for each in CRITERIA.values() if each.nouns == size and each.view in seen):
+        for criterion in (each for each in criteria if each.nouns == size and each.view in seen):
             holds, fails = _judge(criterion, keypoints[:, criterion.view], shown[:, criterion.view], nouns, tolerance)
             is_hidden = (shown[:, criterion.view][:, nouns] == HIDDEN).any(axis=2)
             labels[:, of_size, STATEMENTS.index((Claim.HOLDS, criterion.name))] = _decided(holds, fails | is_hidden)

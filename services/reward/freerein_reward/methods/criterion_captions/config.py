@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from freerein.config import bounded
+from freerein.criteria import CONTAINER
 from freerein.learning.fit_config import DatasetFitConfig
 
 
@@ -15,6 +16,8 @@ class CriterionConfig(DatasetFitConfig):
         views: Cameras of the front, side and tilted view of table 4.1, empty ones for views that there are not; by
             default `cameras` in this order. One camera may be several views, where objects move in a plane.
         object_widths: Object width as a fraction of the frame's width, one for all views or one for each.
+        container_width: Width of what contains other things, such as a tray, in object widths: a thing is inside of it
+            where their centres are less than half of it apart.
         min_presence: Presence probability from which a phrase appears in captions; below 1 minus it, it is missing.
         tolerance: Where the keypoints miss a criterion's limits by less than this, in object widths, it is not learned.
         batch_size: Moments per optimiser step.
@@ -27,6 +30,7 @@ class CriterionConfig(DatasetFitConfig):
     phrases: tuple[str, ...] = ()
     views: tuple[str, ...] = ()
     object_widths: tuple[float, ...] = (0.1,)
+    container_width: float = bounded(CONTAINER, least=0.5, most=10.0)
     min_presence: float = bounded(0.95, least=0.55, most=1.0)
     tolerance: float = bounded(0.1, least=0.0, most=1.0)
     steps: int = bounded(1000, least=1, most=10_000_000)

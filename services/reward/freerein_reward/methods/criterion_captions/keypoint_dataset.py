@@ -9,7 +9,7 @@ import numpy.typing as npt
 import torch
 
 from freerein.atomic_files import write_atomic
-from freerein.criteria import View
+from freerein.criteria import CONTAINER, View, criteria
 from freerein.data import Dataset
 from freerein.errors import InvalidInput
 from freerein.jobs.metrics import MetricsWriter
@@ -23,6 +23,12 @@ from freerein_reward.methods.shared.presence import alone_in_place, presence_in_
 from freerein_reward.model import PhraseLocator
 
 _IMAGES_AT_ONCE = 256
+_APART = 0.7
+"""Distance of two things, in object widths, from which the one of less heat is no part of the other: flat things lie on
+each other at less than a width."""
+
+_SEEN = 0.5
+"""Presence from which the grounding model sees a phrase."""
 
 Frames = npt.NDArray[np.uint8]
 
@@ -34,10 +40,12 @@ class ViewLayout:
     Attributes:
         cameras: The number of each view's camera; None for a view that there is not.
         units: float64 (views, 2), object width as a fraction of the frame's width and height in each view.
+        container_width: Of what contains other things, in object widths.
     """
 
     cameras: tuple[int | None, ...]
     units: npt.NDArray[np.float64]
+    container_width: float = CONTAINER
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -95,7 +103,8 @@ class KeypointDataset:
             camera = self.layout.cameras[view]
             keypoints[:, view] = self.keypoints[:, camera] / self.layout.units[view]
             shown[:, view] = self.shown[:, camera]
-        return label_captions(keypoints, shown, tuples, views=self.layout.views, tolerance=tolerance)
+        named = criteria(container_width=self.layout.container_width).values()
+        return label_captions(keypoints, shown, tuples, criteria=named, views=self.layout.views, tolerance=tolerance)
 
     def split(
         self, lengths: npt.NDArray[np.int64], *, fraction: float, seed: int
@@ -123,7 +132,14 @@ class KeypointDataset:
         return training, validation
 
 
-def view_layout(cameras: Sequence[str], views: Sequence[str], widths: Sequence[float], aspect: float) -> ViewLayout:
+def view_layout(
+    cameras: Sequence[str],
+    views: Sequence[str],
+    widths: Sequence[float],
+    aspect: float,
+    *,
+    container_width: float = CONTAINER,
+) -> ViewLayout:
     """Returns which camera is which view.
 
     Args:
@@ -131,10 +147,11 @@ def view_layout(cameras: Sequence[str], views: Sequence[str], widths: Sequence[f
         views: The camera of each view, `NO_CAMERA` for none.
         widths: Object width as a fraction of the frame's width, one for all views or one for each.
         aspect: Height of the frames over their width.
+        container_width: Of what contains other things, in object widths.
     """
     numbers = tuple(None if name == NO_CAMERA else cameras.index(name) for name in views)
     across = np.broadcast_to(np.asarray(widths, np.float64), len(View))
-    return ViewLayout(numbers, np.stack([across, across / aspect], axis=1))
+    return ViewLayout(numbers, np.stack([across, across / aspect], axis=1), container_width)
 
 
 def locate_phrases(
@@ -194,8 +211,12 @@ def _shown(
     *,
     least: float,
 ) -> Labels:
-    """Returns whether phrases are shown at keypoints in object widths, int8 (N, P)."""
+    """Returns whether phrases are shown at keypoints in object widths, int8 (N, P).
+
+    What is half covered has less heat than where the others are shown, and is not taken for hidden where the grounding
+    model sees it.
+    """
     probability = presence_in_dataset(heat, presence).probability
-    is_alone = alone_in_place(x, y, probability, heat, epsilon=1.0)
-    sure = np.where(probability < 1 - least, HIDDEN, UNSURE)
+    is_alone = alone_in_place(x, y, probability, heat, epsilon=_APART)
+    sure = np.where((probability < 1 - least) & (presence < _SEEN), HIDDEN, UNSURE)
     return np.where(is_alone & (probability >= least), SHOWN, sure).astype(np.int8)

@@ -81,7 +81,13 @@ def _prepare(
     """
     dataset, model = source.dataset, load_built_in(grounding, str(device))
     (height, width), *_ = ((each.height, each.width) for each in source.cameras(config.cameras))
-    layout = view_layout(config.cameras, config.views, config.object_widths, height / width)
+    layout = view_layout(
+        config.cameras,
+        config.views,
+        config.object_widths,
+        height / width,
+        container_width=config.container_width,
+    )
     spec = network_spec(model, config, layout)  # rejects what is out of bounds before captioning
     moments = locate_phrases(dataset, model, config, layout, captions / f"places-{grounding.name}.safetensors")
     check_shown(moments.frames[0], config.phrases, model)

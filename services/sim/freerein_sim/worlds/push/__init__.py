@@ -16,7 +16,7 @@ from freerein_sim.worlds.push.spec import RECIPE, push_spec
 from freerein_sim.worlds.push.things import EVERYTHING, PUCKS, Thing
 from freerein_sim.worlds.world import TaskDefinition, World, WorldSpec
 
-VERSION = 1
+VERSION = 2
 """Version of the world; raised where it behaves differently."""
 
 _GOAL_STEPS, _SCATTER_STEPS = 100, 6

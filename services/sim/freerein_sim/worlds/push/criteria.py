@@ -23,7 +23,8 @@ INSIDE_M = 1.3 * OBJECT_M
 """Horizontal distance between the centres of the tray and what is inside; of what touches it outside it is 85 mm."""
 
 _ABOVE_M = (0.36 * OBJECT_M, 1.5 * OBJECT_M)
-"""How much higher the centre of a thing on top of another may be; that of a puck on a puck is half a width higher."""
+"""How much higher the centre of a thing on top of another may be; that of a puck on a puck is seven tenths of a width
+higher."""
 
 Place = npt.NDArray[np.float64]
 """float64 (..., 3): x, y, z of centres in metres."""

@@ -28,7 +28,7 @@ TIMESTEP_S = 0.005
 TABLE_HALF_M = np.array([0.23, 0.25])
 """Half extents of the table along x and y."""
 
-HAND_M = np.array([0.22, 0.24])
+HAND_M = np.array([0.20, 0.21])
 """Greatest distance of the hand from the middle of the table, along x and y."""
 
 HAND_JOINTS = ("hand.x", "hand.y", "hand.z")
@@ -36,15 +36,18 @@ LOW_M = 0.006
 """Height of the fingertips that push."""
 
 CAMERAS = {
-    "front": (1.25, 0.0, 1.06),
-    "left": (0.0, -1.25, 1.06),
-    "right": (0.0, 1.25, 1.06),
+    "front": (1.285, 0.0, 1.015),
+    "left": (0.0, -1.285, 1.015),
+    "right": (0.0, 1.285, 1.015),
 }
-"""Positions. The cameras look down at 40 degrees: low enough to tell heights, and over most of what is in front."""
+"""Positions. The cameras look down at 37 degrees: low enough to tell heights, and over most of what is in front."""
 
-_TARGET_M, _FOVY_DEG = (0.0, 0.0, 0.045), 18.4
+_TARGET_M, _FOVY_DEG = (0.0, 0.0, 0.045), 15.0
 _TABLE, _FLOOR = (0.27, 0.28, 0.31, 1), (0.52, 0.56, 0.60, 1)
-_STEEL, _RUBBER, _WOOD = (0.68, 0.69, 0.71, 1), (0.50, 0.51, 0.53, 1), (0.62, 0.47, 0.33, 1)
+_STEEL, _RUBBER = (0.68, 0.69, 0.71, 1), (0.50, 0.51, 0.53, 1)
+_FLOOR_OF_TRAY, _WALLS_OF_TRAY = (0.10, 0.78, 0.82, 1), (0.06, 0.47, 0.49, 1)
+"""Cyan, a colour that no other thing has."""
+
 _FINGERTIP_M = 0.123
 """Distance of the fingertips from the base of the gripper."""
 
@@ -137,12 +140,11 @@ def _add_thing(world: mujoco.MjsBody, thing: Thing) -> None:
 
 def _add_tray(body: mujoco.MjsBody) -> None:
     half, half_z, thin = TRAY_M / 2, TRAY_HEIGHT_M / 2, TRAY_WALL_M / 2
-    dark = [*np.multiply(_WOOD[:3], 0.75), 1]
-    _add_part(body, _GEOM.mjGEOM_BOX, [half, half, thin], dark, at=[0, 0, thin - half_z])
+    _add_part(body, _GEOM.mjGEOM_BOX, [half, half, thin], _FLOOR_OF_TRAY, at=[0, 0, thin - half_z])
     for axis, side in ((axis, side) for axis in (0, 1) for side in (-1, 1)):
         at, size = [0.0, 0.0, 0.0], [half, half, half_z]
         at[axis], size[axis] = side * (half - thin), thin
-        _add_part(body, _GEOM.mjGEOM_BOX, size, _WOOD, at=at)
+        _add_part(body, _GEOM.mjGEOM_BOX, size, _WALLS_OF_TRAY, at=at)
 
 
 def _add_part(

@@ -10,7 +10,7 @@ Kind = Literal["puck", "block", "tray"]
 OBJECT_M = 0.05
 """Width of a puck and of a block: the unit of the criteria."""
 
-PUCK_HEIGHT_M = 0.025
+PUCK_HEIGHT_M = 0.035
 TRAY_M, TRAY_HEIGHT_M, TRAY_WALL_M = 0.12, 0.034, 0.004
 """Outer width and height of the tray, and the thickness of its walls and floor."""
 
