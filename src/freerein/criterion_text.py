@@ -19,6 +19,7 @@ from itertools import product
 
 from freerein.criteria import CRITERIA, Criterion, View
 from freerein.goal_text import (
+    ARTICLES,
     CLAUSES,
     COPULAS,
     GoalText,
@@ -158,11 +159,14 @@ class CriterionGrammar(Grammar):
 def stated_criterion(text: str) -> tuple[Criterion, Words] | None:
     """Returns the criterion that a text states, and its nouns, which no model need know; None where it states none.
 
-    The first and longest wording counts.
+    The first and longest wording counts. A wording that its noun goes on with is half of a longer one: `red in front
+    blue` says nothing.
     """
     said = stated(text)
     for start in range(1, len(said)):
         for end in range(min(len(said) - 1, start + _LONGEST), start, -1):
+            if said[start : end + 1] in _HALVES:
+                continue
             for claim, criterion, tails in _READINGS.get(said[start:end], ()):
                 nouns = (said[:start], *_split(said[end:], tails))
                 if claim is not Claim.HOLDS or criterion is None or len(nouns) != criterion.nouns:
@@ -217,6 +221,11 @@ _TAILS: tuple[tuple[Words, ...], ...] = (((),), ((AND,), ()))
 
 _READINGS = _grouped(_all_readings())
 _LONGEST = max(map(len, _READINGS))
+_HALVES = {
+    key[:size] for key in _READINGS for size in range(2, len(key)) if key[size - 1] not in ARTICLES
+} - _READINGS.keys()
+"""What longer wordings begin with."""
+
 _VOCABULARY = tuple(sorted({AND, *(word for key in _READINGS for word in key)}))
 _BINARY = {
     _parts(each)[0]: criterion for criterion in CRITERIA.values() if criterion.nouns == 2 for each in criterion.wordings
