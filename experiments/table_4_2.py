@@ -14,6 +14,7 @@ from experiments.chapter4.students import (
     DATASET,
     DISSERTATION,
     DONE,
+    EPISODES_OF_SCENE,
     EYE,
     IN_SCENES,
     OURS,
@@ -41,7 +42,7 @@ from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 from freerein.data import dataset_path
 
-_WORLD, _SEEDS, _VERSION = "blocks", 3, 1
+_WORLD, _SEEDS, _VERSION = "blocks", 3, 2
 _ROWS = ((OURS, "text"), (OURS, "code"), (OURS, "none"), (DISSERTATION, "text"))
 _TEXT, _TASKS = "conditioning", "tasks"
 _STUDENTS = {IN_SCENES: OURS, DONE: OURS, EYE: OURS, RENAMED: DISSERTATION}
@@ -68,7 +69,7 @@ class OnePolicy(Experiment):
         teachers = () if arm.method == RANDOM else shipped_teachers()
         more: dict[str, object] = {}
         if arm.method == IN_SCENES:
-            more = {"scenes": list(SCENES)}
+            more = {"scenes": list(SCENES), "episodes": EPISODES_OF_SCENE}
         elif arm.method == EYE:
             more = {"eye": eye_config(arm.seed)}
         return {"version": _VERSION, "teachers": list(teachers), "steps": list(_steps(arm)), **more}

@@ -37,8 +37,10 @@ LIGHTS = ("light-0.6", "light-0.8", "light-1.2", "light-1.4", "warm", "cool")
 SCENES = (*LIGHTS, "camera-5cm", "blocks-3")
 """Conditions under which ours, told a text, is evaluated in all tasks: arms of their own, `IN_SCENES`."""
 
-_EPISODES, _EPISODES_OF_SCENE, _MOST_ENVS = 50, 10, 25
-"""Those of a scene begin as the first of the others do."""
+EPISODES_OF_SCENE = 10
+"""They begin as the first of the others do."""
+
+_EPISODES, _MOST_ENVS = 50, 25
 
 _REACHED_WEIGHT = 0.3
 
@@ -116,7 +118,7 @@ _CELLS_OF_SCENES = tuple(
         f"{tasks}-{scene.replace('.', '-')}-{number}",
         task,
         conditions={"conditions": [scene]},
-        episodes=_EPISODES_OF_SCENE,
+        episodes=EPISODES_OF_SCENE,
     )
     for scene in SCENES
     for tasks, members in TASK_SETS.items()

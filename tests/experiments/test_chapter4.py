@@ -365,16 +365,18 @@ def test_goals_about_pucks_are_asked_where_a_colour_names_one_thing_and_judged_b
             scene(red_puck=left, tray=(0.0, -0.1, 0.017)),
         ]
     )
-    red, green, blue, brown = (puck_scenes.NOUNS.index(each) for each in ("red", "green", "blue", "brown"))
+    red, green, blue, cyan = (puck_scenes.NOUNS.index(each) for each in ("red", "green", "blue", "cyan"))
     found = {(each.criterion, each.nouns): each for each in puck_scenes.asked(states)}
     assert found["left_of", (red, green)].holds.tolist() == [True, False, False]
     assert found["left_of", (red, green)].counts.tolist() == [True, False, False]  # red names two things, then nothing
     assert found["in_front_of", (green, blue)].holds[0]
     assert found["close_to", (red, green)].counts[0]
     assert not found["close_to", (red, green)].holds[0]
-    assert found["inside_of", (red, brown)].holds.tolist() == [False, False, True]
+    assert found["inside_of", (red, cyan)].holds.tolist() == [False, False, True]
     assert not found["inside_of", (red, green)].counts.any()  # no tray
     assert not found["in_front_of", (red, green)].counts.any()  # neither is in front
+    assert found["in_between", (red, green, blue)].counts[0]
+    assert not found["in_between", (green, red, blue)].counts[0]  # green and blue are one behind the other
 
 
 def test_a_criterion_that_is_always_told_right_has_1_and_one_that_is_never_rewarded_one_half() -> None:
