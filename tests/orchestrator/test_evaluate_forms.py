@@ -343,6 +343,7 @@ def test_demonstrations_are_collected_fitted_labelled_and_the_labels_measured_on
         (RECIPES | {"task": "pendulum"}, "with skills; pendulum has none"),
         (SEGMENTATION | {"task": "pendulum"}, "an expert and skills; pendulum lacks them"),
         ({"task": "pendulum", "policy": "expert"}, "pendulum has none"),
+        ({"task": "blocks", "policy": "random"}, "blocks is reward-free"),
         ({"form": "sentences", "task": "grid", "policy": "random"}, "takes goal texts"),
     ],
 )

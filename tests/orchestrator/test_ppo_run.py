@@ -233,6 +233,7 @@ def test_a_run_over_two_sims_resumes_over_two_only(ppo: Callable[..., Any], serv
     ("config", "error"),
     [
         ({"task": "blocks.fly"}, NotFound),
+        ({"task": "blocks", "reward": "oracle", "encoder": "spatial"}, InvalidInput),
         ({"camera": "below"}, InvalidInput),
         ({"cameras": ["front", "below"], "encoder": "spatial"}, InvalidInput),
         ({"reward_cameras": ["below"]}, InvalidInput),

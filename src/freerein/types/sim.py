@@ -44,12 +44,11 @@ class Task:
     """A world with an optional goal and its oracle.
 
     Attributes:
-        goal_text: Goal in words; empty for a task without a goal.
-        skills: Skills that the expert can execute; empty without an expert.
+        goal_text, skills: Goal in words, and the expert's skills; empty for a task without a goal, or an expert.
         max_episode_steps: Steps after which an episode is truncated.
         conditions: Named variations with which a session can be created.
         min_skills, max_skills: Fewest and most skills of a recipe; conditions may allow fewer.
-        has_explorer: Whether its random exploration is its own. Otherwise it is smooth random actions.
+        has_explorer, reward_free: Whether its random exploration is its own; whether every reward is 0.
     """
 
     name: str
@@ -67,6 +66,7 @@ class Task:
     max_skills: int = 0
     has_explorer: bool = False
     measures: tuple[Measure, ...] = ()
+    reward_free: bool = False
 
 
 @dataclass(frozen=True)

@@ -644,6 +644,7 @@ export interface Task {
   max_skills: number;
   has_explorer: boolean;
   measures: readonly Measure[];
+  reward_free: boolean;
 }
 
 export interface Tensor {

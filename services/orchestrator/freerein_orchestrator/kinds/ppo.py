@@ -152,6 +152,12 @@ class _Training:
         if self._config.resume_from:
             return self._trained_on()
         config, task = self._config, find_task(self.sims[0], self._config.task)
+        if task.reward_free and self._entry.gets_true_rewards:
+            raise InvalidInput(
+                f"The reward {config.reward} needs a task with a reward; {task.name} is reward-free.",
+                field="config.reward",
+                hint="Choose another reward, such as learned or curiosity; or a task with a goal.",
+            )
         if "success_examples" in self._entry.sees:
             open_dataset(self._context.data_dir, config.dataset)  # refuses one that is not there, before all else
         cameras, goal_text = ObservedCameras.find(task, config), config.goal_text or task.goal_text

@@ -215,6 +215,7 @@ class TaskDefinition:
             it: those of another version are measured again.
         explorer: Makes what explores; None for `random_policy.SmoothRandomPolicy`.
         measures: What can be measured on true states.
+        reward_free: Whether every reward is 0: the task has no goal of its own.
     """
 
     name: str
@@ -228,6 +229,7 @@ class TaskDefinition:
     version: int = 1
     explorer: MakeExplorer | None = None
     measures: tuple[StateMeasure, ...] = ()
+    reward_free: bool = False
 
     def __post_init__(self) -> None:
         check_name(self.name, field="task")
@@ -263,6 +265,7 @@ class TaskDefinition:
             max_skills=most,
             has_explorer=self.explorer is not None,
             measures=tuple(measure.describe() for measure in self.measures),
+            reward_free=self.reward_free,
         )
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from freerein.errors import InvalidInput
 from freerein.types.common import Goal
 from freerein_orchestrator.envs.episodes import Episode, run_episodes
 from freerein_orchestrator.envs.policies import PolicyHandle, expert_policy
@@ -73,6 +74,12 @@ class ReturnsEvaluation:
     def __init__(self, setup: Setup[ReturnsConfig]) -> None:
         self._setup = setup
         config, goal_text = setup.config, setup.task.goal_text
+        if setup.task.reward_free:
+            raise InvalidInput(
+                f"The form returns needs a task with a reward; {setup.task.name} is reward-free.",
+                field="config.task",
+                hint="Choose another form, such as recipes, or demonstrations; or a task with a goal.",
+            )
         self._policy = _GivenPolicy(find_policy(setup), goal_of(config.choice), goal_text)
         self._baseline: _GivenPolicy | None = None
         self.subject: dict[str, Any] = {"goal_text": goal_text, **self._policy.description}

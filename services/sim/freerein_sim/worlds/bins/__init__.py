@@ -29,7 +29,7 @@ def _make(spec: WorldSpec, draw_tempos: DrawTempos, conditions: Collection[str] 
 
 def _task(name: str, spec: WorldSpec, draw_tempos: DrawTempos) -> TaskDefinition:
     make = partial(_make, spec, draw_tempos)
-    return TaskDefinition(name, "bins", "", spec, make, PREDICATES, LIGHT_CONDITIONS, version=VERSION)
+    return TaskDefinition(name, "bins", "", spec, make, PREDICATES, LIGHT_CONDITIONS, version=VERSION, reward_free=True)
 
 
 TASKS = (

@@ -75,7 +75,9 @@ def _task(
     goal_text: str = "",
 ) -> TaskDefinition:
     predicates = landmarks_and_skills(spec.skills) + predicates
-    return TaskDefinition(name, "blocks", goal_text, spec, make, predicates, conditions, version=VERSION)
+    return TaskDefinition(
+        name, "blocks", goal_text, spec, make, predicates, conditions, version=VERSION, reward_free=not goal_text
+    )
 
 
 def _goal_task(first: str, second: str, relation: BlockRelation) -> TaskDefinition:

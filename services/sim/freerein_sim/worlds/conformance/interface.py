@@ -41,6 +41,7 @@ def tells_the_truth_in_shape(task: TaskDefinition) -> None:
             require(truth.state.dtype == np.float64, "True state is float64.")
             require(truth.state.shape == (len(task.spec.state_names),), "Each number of the true state has a name.")
             require(bool(np.isfinite(truth.state).all()) and bool(np.isfinite(truth.reward)), "GroundTruth is finite.")
+            require(not (task.reward_free and truth.reward), "A reward-free task rewards nothing.")
 
 
 def starts_unsolved(task: TaskDefinition) -> None:

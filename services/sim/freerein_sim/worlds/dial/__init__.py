@@ -29,7 +29,9 @@ def _make(spec: WorldSpec, durations: Durations, conditions: Collection[str] = (
 
 def _task(name: str, spec: WorldSpec, durations: Durations) -> TaskDefinition:
     make = partial(_make, spec, durations)
-    return TaskDefinition(name, "dial", "", spec, make, PREDICATES, LIGHT_CONDITIONS, RECIPES, VERSION)
+    return TaskDefinition(
+        name, "dial", "", spec, make, PREDICATES, LIGHT_CONDITIONS, RECIPES, VERSION, reward_free=True
+    )
 
 
 TASKS = (

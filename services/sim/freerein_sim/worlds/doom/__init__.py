@@ -48,6 +48,7 @@ def _task(name: str, doom_map: DoomMap) -> TaskDefinition:
         RandomOrder(most=1),
         VERSION,
         partial(repeat_choices, EXPLORATION),
+        reward_free=True,
     )
 
 

@@ -38,6 +38,7 @@ def _task(floor: str) -> TaskDefinition:
         RandomOrder(most=1),
         version=VERSION,
         explorer=partial(repeat_choices, EXPLORATION),
+        reward_free=True,
     )
 
 

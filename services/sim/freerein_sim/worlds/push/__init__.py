@@ -52,7 +52,9 @@ def _scatter_task() -> TaskDefinition:
     spec = push_spec(EVERYTHING, skills=(), max_episode_steps=_SCATTER_STEPS)
     predicates = (*landmarks(spec, EVERYTHING), *relations(spec, EVERYTHING))
     make = partial(_make_scatter, spec)
-    return TaskDefinition("push.scatter", "push", "", spec, make, predicates, _CONDITIONS, version=VERSION)
+    return TaskDefinition(
+        "push.scatter", "push", "", spec, make, predicates, _CONDITIONS, version=VERSION, reward_free=True
+    )
 
 
 _DISSERTATIONS = (Thing("puck", "blue"), Thing("puck", "yellow"))

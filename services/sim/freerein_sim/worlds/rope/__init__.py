@@ -45,5 +45,6 @@ TASKS = (
         version=VERSION,
         explorer=_explore,
         measures=MEASURES,
+        reward_free=True,
     ),
 )

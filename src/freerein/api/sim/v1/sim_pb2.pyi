@@ -41,6 +41,7 @@ class Task(_message.Message):
     MAX_SKILLS_FIELD_NUMBER: _builtins.int
     HAS_EXPLORER_FIELD_NUMBER: _builtins.int
     MEASURES_FIELD_NUMBER: _builtins.int
+    REWARD_FREE_FIELD_NUMBER: _builtins.int
     name: _builtins.str
     """Task name."""
     world: _builtins.str
@@ -59,6 +60,8 @@ class Task(_message.Message):
     """Most skills of a recipe; conditions may allow fewer."""
     has_explorer: _builtins.bool
     """Whether the task's random exploration is its own. Otherwise it is smooth random actions."""
+    reward_free: _builtins.bool
+    """Whether every reward is 0: the task has no goal of its own."""
     @_builtins.property
     def cameras(self) -> _containers.RepeatedCompositeFieldContainer[_common_pb2.Camera]:
         """The cameras."""
@@ -101,10 +104,11 @@ class Task(_message.Message):
         max_skills: _builtins.int = ...,
         has_explorer: _builtins.bool = ...,
         measures: _abc.Iterable[Global___Measure] | None = ...,
+        reward_free: _builtins.bool = ...,
     ) -> None: ...
     _HasFieldArgType: _TypeAlias = _typing.Literal["action", b"action"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "conditions", b"conditions", "control_dt_s", b"control_dt_s", "goal_text", b"goal_text", "has_expert", b"has_expert", "has_explorer", b"has_explorer", "max_episode_steps", b"max_episode_steps", "max_skills", b"max_skills", "measures", b"measures", "min_skills", b"min_skills", "name", b"name", "predicates", b"predicates", "skills", b"skills", "world", b"world"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["action", b"action", "cameras", b"cameras", "conditions", b"conditions", "control_dt_s", b"control_dt_s", "goal_text", b"goal_text", "has_expert", b"has_expert", "has_explorer", b"has_explorer", "max_episode_steps", b"max_episode_steps", "max_skills", b"max_skills", "measures", b"measures", "min_skills", b"min_skills", "name", b"name", "predicates", b"predicates", "reward_free", b"reward_free", "skills", b"skills", "world", b"world"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
