@@ -10,7 +10,7 @@ import torch
 from experiments.robustness.evaluated import evaluate
 from experiments.robustness.worlds import CAMERA, NEAR
 from experiments.workbench.arms import Arm
-from experiments.workbench.pipelines import Step, Trials, fit_step, step
+from experiments.workbench.pipelines import Step, Trials, step
 from experiments.workbench.results import Sample
 from freerein.data import Dataset, dataset_path
 from freerein.types.common import Camera
@@ -29,6 +29,7 @@ TOLD_SUCCESS, TOLD_FAILURE = "told-success", "told-failure"
 """Shares of held-out frames of success, and of failure, that the classifier of `vice` tells as what they are."""
 
 _PPO, _RETURNS, _WON, _HELD_OUT = "ppo", "returns", "won", "won-held-out"
+_IMAGES_OF_PUCKS, _EYE, _REWARD = "images", "eye", "reward"
 _HELD_OUT_SUCCESSES, _HELD_OUT_SEED = 50, 1_000_004
 _EPISODES, _IMAGES, _IMAGE_STEPS, _SUCCESSES = 100, 1000, 6, 100
 _SETTLE = 2
@@ -50,11 +51,19 @@ _PUSH_REWARD: Mapping[str, Any] = MappingProxyType(
     }
 )
 
+_PUSH_EYE: Mapping[str, Any] = MappingProxyType(
+    {"phrases": list(_PUSH_PHRASES), "cameras": ["front"], "epsilon": _PUCK_WIDTH}
+)
+"""A model of relations, whose image encoder locates pucks."""
+
 _SMALL: Mapping[str, Any] = MappingProxyType({"encoder": "spatial", "action_repeat": 2})
-"""Where there is no eye: for pucks, and for curiosity."""
+"""Where there is no eye: for curiosity."""
 
 _OURS: Mapping[str, Any] = MappingProxyType({"conditions": [NEAR], "carry_weight": 1.0})
 """As the teachers are trained."""
+
+_PUSHING: Mapping[str, Any] = MappingProxyType({"carry_weight": 1.0, "eye_model": _EYE, "iterations": 89})
+"""As the teachers, but from the task's own starts; with images and explorations it has 198 512 ticks."""
 
 _DISSERTATIONS: Mapping[str, Any] = MappingProxyType(
     {
@@ -86,8 +95,29 @@ _BALANCING: Mapping[str, Any] = MappingProxyType(
 """A single frame tells no velocity."""
 
 
+def shared_steps(arm: Arm) -> list[Step]:
+    """Returns the steps that make what all trainings of a seed begin with: of pucks images, an eye, a reward model."""
+    if arm.world != PUSH:
+        return []
+    images = {"behaviour": "random", "count": _IMAGES, "cameras": ["front"], "seed": arm.seed}
+    return [
+        step(_IMAGES_OF_PUCKS, "collect", dataset=_IMAGES_OF_PUCKS, task="push.scatter", **images),
+        *(
+            step(
+                name,
+                "fit",
+                service="reward",
+                dataset=_IMAGES_OF_PUCKS,
+                model_name=name,
+                config={**config, "seed": arm.seed},
+            )
+            for name, config in ((_EYE, _PUSH_EYE), (_REWARD, _PUSH_REWARD))
+        ),
+    ]
+
+
 def steps(arm: Arm) -> list[Step]:
-    """Returns the pipeline of an arm, whose method is its reward."""
+    """Returns the pipeline of an arm, whose method is its reward; see `shared_steps`."""
     return [*_examples(arm), step(_PPO, "ppo", **_training(arm)), _evaluation(arm)]
 
 
@@ -126,10 +156,6 @@ def _examples(arm: Arm) -> Iterator[Step]:
             (_HELD_OUT, _HELD_OUT_SUCCESSES, _HELD_OUT_SEED),
         ):
             yield step(name, "collect", dataset=name, task=arm.world, count=count, seed=seed, settle=_SETTLE)
-    if arm.world == PUSH and arm.method == LEARNED:
-        images = {"behaviour": "random", "count": _IMAGES, "cameras": ["front"], "seed": arm.seed}
-        yield step("images", "collect", dataset="images", task="push.scatter", **images)
-        yield fit_step("reward", "reward", "images", **_PUSH_REWARD, seed=arm.seed)
 
 
 def _training(arm: Arm) -> dict[str, Any]:
@@ -138,6 +164,8 @@ def _training(arm: Arm) -> dict[str, Any]:
         config["dataset"] = _WON
     if arm.world == PUSH:
         config["goal_text"] = PUSH_TEXT
+        if arm.method == LEARNED:
+            config["reward_model"] = _REWARD
     return config | dict(_tuning(arm))
 
 
@@ -146,9 +174,9 @@ def _tuning(arm: Arm) -> Mapping[str, Any]:
         return _BALANCING
     if arm.options[TUNING] == DISSERTATION:
         return _DISSERTATIONS
-    sees_by_eye = arm.world != PUSH and arm.method != CURIOSITY
-    starts = _OURS if arm.world != PUSH else {}
-    return starts if sees_by_eye else {**starts, **_SMALL}
+    if arm.world == PUSH:
+        return _SMALL if arm.method == CURIOSITY else _PUSHING
+    return {**_OURS, **_SMALL} if arm.method == CURIOSITY else _OURS
 
 
 def _evaluation(arm: Arm) -> Step:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from freerein.relations import SpatialRelation, caption
-from freerein_orchestrator.rewards.carrying import goal_place, nearness, way_over
+from freerein_orchestrator.rewards.carrying import goal_place, nearness, nearness_of, way_over
 
 
 @pytest.mark.parametrize(
@@ -32,6 +32,14 @@ def test_what_is_lifted_from_the_wrong_side_is_nearer_than_what_is_pushed_agains
     near = nearness(offsets, place)
     assert (near.diff() > 0).all()
     assert 0 < near[0] < near[-1] <= 6
+
+
+def test_what_is_to_be_close_is_nearer_the_less_it_is_away_until_it_is_close() -> None:
+    near = nearness_of("a blue puck close to a red puck")
+    assert near is not None
+    found = near(torch.tensor([[0.0, -9.0], [3.0, 0.0], [0.0, 2.0], [1.0, 1.0]]))
+    torch.testing.assert_close(found, torch.tensor([0.0, 6 - 1.1, 6 - 0.1, 6.0]))
+    assert nearness_of("a blue puck apart from a red puck") is None
 
 
 def test_a_relation_that_nothing_is_put_into_has_no_place() -> None:

@@ -8,14 +8,16 @@ import pytest
 import torch
 
 from freerein.errors import InvalidInput
-from freerein.learning import tensor_files
+from freerein.learning import model_files, tensor_files, weights
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
-from freerein.learning.actor_critic.object_encoder import ObjectEncoder, _robust_regression
+from freerein.learning.actor_critic.object_encoder import PHRASES_FILE, ObjectEncoder, _robust_regression
 from freerein.learning.augmentation import add_distractors
 from freerein.learning.model_files import MODEL
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import Camera, ModelRef
 from freerein_orchestrator.rl.object_encoder import load_reward_encoder
+from freerein_reward.methods.criterion_captions.network import CriterionNetwork
+from freerein_reward.methods.criterion_captions.spec import CriterionSpec
 
 STEP = 10.0
 """Pixels by which an action of 1 moves the body."""
@@ -173,7 +175,7 @@ def test_a_reward_model_without_keypoints_of_its_own_is_no_encoder_of_objects(fo
     weights = tensor_files.parse((copied / MODEL.weights).read_bytes())
     of_criteria = {name: each for name, each in weights.items() if not name.startswith("image.pool.")}
     (copied / MODEL.weights).write_bytes(tensor_files.dump(of_criteria))
-    with pytest.raises(InvalidInput, match="`relation_captions`"):
+    with pytest.raises(InvalidInput, match="locates its phrases"):
         load_reward_encoder(copied, goal_caption=CAPTION, camera=CAMERA)
 
 
@@ -183,3 +185,29 @@ def test_a_fit_of_the_body_is_interrupted() -> None:
 
     with pytest.raises(StopIteration):
         fit_body(BodyEncoder(height=64, width=64, action_size=2), seen, torch.Generator(), interrupt=calls.__next__)
+
+
+def test_of_a_model_of_criteria_the_encoder_finds_phrases_where_the_model_does(folder: Path, tmp_path: Path) -> None:
+    phrases = ("a yellow puck", "a green puck", "a blue puck")
+    vocabulary = tuple(model_files.read_card(folder)["spec"]["vocabulary"])
+    views = {"cameras": ("front",), "views": ("front", "", "front"), "units": (0.1, 0.1)}
+    network = CriterionNetwork(CriterionSpec(phrases=phrases, other_phrases=(), vocabulary=vocabulary, **views))
+    weights.initialise(network.eval(), generator=torch.Generator().manual_seed(0))
+    torch.nn.init.normal_(network.locator.contrast, std=0.1, generator=torch.Generator().manual_seed(1))
+    torch.nn.init.constant_(network.locator.nowhere, -1.0)
+    model_files.save_model(network, tmp_path, card={"method": "criterion_captions"})
+    with torch.no_grad():
+        embedded = network.embed_phrases(phrases)
+        (tmp_path / PHRASES_FILE).write_bytes(tensor_files.dump({"phrases": embedded}))
+        encoder = load_reward_encoder(tmp_path, goal_caption="a blue puck close to a yellow puck", camera=CAMERA)
+        eye = ObjectEncoder(encoder.spec, height=64, width=64, action_size=2)
+        eye.load_objects(encoder.weights)
+        frames = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (4, 64, 64, 3), np.uint8))
+        found = network.locate(network.embed_cells(frames[:, None]), embedded)
+        keypoints, presence = eye.locate_all(frames)
+    assert (encoder.spec.first, encoder.spec.second) == (2, 0)
+    torch.testing.assert_close(presence, found.presence[:, 0], atol=1e-5, rtol=0)
+    seen = found.presence[:, 0] > 0.2  # what is seen less is drawn to the middle
+    assert seen.any()
+    expected = (2 * found.keypoints[:, 0] - 1) * torch.tensor([1.0, -1.0])
+    torch.testing.assert_close(keypoints[seen], expected[seen], atol=1e-4, rtol=0)

@@ -232,7 +232,7 @@ class _Training:
 
     def _reward_encoder(self, goal_text: str, camera: Camera) -> tuple[ModelRef, RewardEncoder]:
         """Returns the reward model whose image encoder the policy's object encoder has, and that encoder."""
-        name = self._config.reward_model if self._entry.encodes_objects else ""
+        name = self._config.eye_model or (self._config.reward_model if self._entry.encodes_objects else "")
         answer = LearnedReward(self._context.client("reward"), goal_text, ModelRef(name)).resolve((camera,))
         folder = self._context.reward_models.folder(answer.model)
         return answer.model, load_reward_encoder(folder, goal_caption=answer.texts[0], camera=camera)

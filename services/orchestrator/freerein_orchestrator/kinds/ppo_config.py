@@ -39,6 +39,7 @@ class PPORunConfig(PPOConfig):
         encoder: `goal_eye`, a frozen object encoder for the two objects of the goal and the policy's own body, or an
             image encoder trained with the policy, such as `spatial`, or `convolutional` for a camera that moves.
             The object encoder is that of `reward_model`; for `base` and `rule`, of the service's default reward model.
+        eye_model: Name of the reward model that the object encoder is of instead; empty for that.
         conditions: The task's conditions that it is trained under, such as a curriculum of starts.
         action_repeat: Timesteps that each action is held for, or until the episode ends, in training and after it.
         practice_share: Share of the environments that begin a rollout in a state that an earlier episode of the
@@ -70,6 +71,7 @@ class PPORunConfig(PPOConfig):
     dataset: str = ""
     reward_model: str = ""
     encoder: str = one_of((OBJECT_ENCODER, *ENCODERS), OBJECT_ENCODER)
+    eye_model: str = ""
     conditions: tuple[str, ...] = ()
     action_repeat: int = bounded(2, least=1, most=16)
     episode_steps: int = bounded(50, least=0, most=10_000)
@@ -92,6 +94,12 @@ class PPORunConfig(PPOConfig):
                 f"The reward `{self.reward}` needs the encoder {' or '.join(needed)}; got `{self.encoder}`.",
                 field="config.encoder",
                 hint=f"--set encoder={'spatial' if 'spatial' in needed else OBJECT_ENCODER}",
+            )
+        if self.eye_model and self.encoder != OBJECT_ENCODER:
+            raise InvalidInput(
+                f"`eye_model` is for the encoder `{OBJECT_ENCODER}`; the encoder is `{self.encoder}`.",
+                field="config.eye_model",
+                hint="Leave it out.",
             )
         self._check_cameras(entry)
         if bool(self.dataset) != ("success_examples" in entry.sees):

@@ -1,14 +1,17 @@
-"""Nearness of an object to its goal position beside another, from the keypoints of both.
+"""Nearness of an object to its goal position beside another, or to the other itself, from the keypoints of both.
 
 Objects do not pass through each other: the way to the other side leads over the top.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 
 import torch
 from torch import Tensor
 
-from freerein.relations import CANONICAL_WORDINGS, SpatialRelation
+from freerein.criteria import CRITERIA
+from freerein.criterion_text import stated_criterion
+from freerein.relations import CANONICAL_WORDINGS, CLOSE, SpatialRelation
 
 _REACH = 6.0
 """Length of the way, in object widths, from which an object is no nearer than from any other."""
@@ -22,6 +25,24 @@ _PLACES: Mapping[SpatialRelation, tuple[float, float]] = {
     SpatialRelation.ON_TOP_OF: (0.0, 1.0),
 }
 """The middle of where table 4.1 has each relation, in object widths to the right and up of the second object."""
+
+
+def nearness_of(caption: str) -> Callable[[Tensor], Tensor] | None:
+    """Returns what gives the nearness of the first object to where a goal has it, of its offset from the second.
+
+    `close to` is near the second object, wherever; None where the goal has it nowhere, such as `apart from`.
+    """
+    place = goal_place(caption)
+    if place is not None:
+        return partial(nearness, place=place)
+    criterion, _ = stated_criterion(caption) or (None, ())
+    return nearness_to_second if criterion is CRITERIA["close_to"] else None
+
+
+def nearness_to_second(offset: Tensor) -> Tensor:
+    """Returns the nearness of the first object to being close to the second, float32 (...), in [0, 6] widths of way."""
+    near: Tensor = (_REACH - (offset.norm(dim=-1) - CLOSE).clamp(min=0)).clamp(min=0)
+    return near
 
 
 def goal_place(caption: str) -> tuple[float, float] | None:

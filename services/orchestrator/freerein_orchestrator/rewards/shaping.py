@@ -13,7 +13,7 @@ from torch import Tensor
 
 from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCritic
-from freerein_orchestrator.rewards.carrying import goal_place, nearness
+from freerein_orchestrator.rewards.carrying import nearness_of
 from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.reward import Reward
@@ -41,12 +41,12 @@ class Shaping(Reward):
 def _make(setting: RewardSetting, network: ActorCritic) -> Shaping:
     if network.eye is None:
         raise InvalidInput("Shaping needs the encoder `goal_eye`.", field="config.encoder")
-    encoder, config, place = network.eye, setting.config, goal_place(setting.caption)
+    encoder, config, carried = network.eye, setting.config, nearness_of(setting.caption)
 
     def potential(features: Tensor) -> Tensor:
         value = config.approach_weight * encoder.nearness(features)
-        if config.carry_weight and place is not None:
-            value = value + config.carry_weight * nearness(encoder.offset(features), place)
+        if config.carry_weight and carried is not None:
+            value = value + config.carry_weight * carried(encoder.offset(features))
         return value
 
     return Shaping(potential, config)

@@ -9,12 +9,13 @@ import torch
 from torch import Tensor
 
 from freerein.config import parse
+from freerein.criterion_text import stated_criterion
 from freerein.errors import InvalidInput
 from freerein.goal_text import Grammar
 from freerein.learning import model_files, tensor_files
 from freerein.learning.actor_critic.body import Exploration
 from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
-from freerein.learning.actor_critic.object_encoder import ObjectEncoderSpec
+from freerein.learning.actor_critic.object_encoder import PHRASES_FILE, ObjectEncoderSpec
 from freerein.learning.encoders.clip import ClipImageSpec
 from freerein.types.common import Camera
 from freerein_orchestrator.rl.config import PPOConfig
@@ -22,8 +23,8 @@ from freerein_orchestrator.rl.initial_network import random_actions
 from freerein_orchestrator.rl.vec_env import VecEnv, env_actions, observation_tensor
 
 _PREFIX = "image."
-_KEYPOINTS = "pool.heat.weight"
-"""Weights that find a keypoint for each phrase; a model of criteria has none."""
+_HEAT, _HEAT_BIAS = "pool.heat.weight", "pool.heat.bias"
+"""Weights that find a keypoint for each phrase."""
 
 _EXPLORATION_STEPS, _EXPLORATION_RANGE = 8, 0.5
 _HINT = "Choose a reward model that was fitted to frames of this camera, or the encoder `spatial`."
@@ -56,9 +57,11 @@ def load_reward_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> R
         InvalidInput: The model is of another camera or frame size, or names no two objects; a file is malformed.
     """
     card: Any = model_files.read_card(folder).get("spec")
+    embedded = folder / PHRASES_FILE
+    of_relations = () if embedded.exists() else ("hidden_size", "embedding_dim")
     try:
         phrases = [str(phrase) for phrase in card["phrases"]]
-        sizes = {name: card[name] for name in ("width", "depth", "hidden_size", "embedding_dim")}
+        sizes = {name: card[name] for name in ("width", "depth", *of_relations)}
         seen = (list(card["cameras"]), card["image_size"])
     except (KeyError, TypeError) as error:
         raise InvalidInput(
@@ -73,14 +76,16 @@ def load_reward_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> R
             hint=_HINT,
         )
     first, second = _pair(phrases, goal_caption)
-    image = parse(ClipImageSpec, {"phrases": len(phrases), **sizes})
+    image = parse(ClipImageSpec, {"phrases": len(phrases), "at_peaks": embedded.exists(), **sizes})
     tensors = tensor_files.parse((folder / model_files.MODEL.weights).read_bytes())
     weights = {name.removeprefix(_PREFIX): each for name, each in tensors.items() if name.startswith(_PREFIX)}
-    if _KEYPOINTS not in weights:
+    if embedded.exists():
+        weights |= _heat_of(tensors, tensor_files.parse(embedded.read_bytes()))
+    if _HEAT not in weights:
         raise InvalidInput(
-            f"An object encoder is of the method `relation_captions`; the model lacks the weights `{_KEYPOINTS}`.",
+            f"An object encoder is of a model that locates its phrases; this one lacks the weights `{_HEAT}`.",
             field="config.reward_model",
-            hint="Choose another reward model for the encoder, or the encoder `spatial`.",
+            hint="Fit the reward model again, choose another one, or the encoder `spatial`.",
         )
     return RewardEncoder(goal_caption, ObjectEncoderSpec(image, first, second), weights)
 
@@ -138,13 +143,40 @@ def explore(spec: ActorCriticSpec, envs: VecEnv, generator: torch.Generator, *, 
     return Exploration(torch.cat(sequences), torch.cat(moves))
 
 
+def _heat_of(tensors: Mapping[str, Tensor], embedded: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Returns the weights of `PeakPool` of a model of criteria, which compares phrases with cells.
+
+    Args:
+        tensors: The model's.
+        embedded: The embeddings of its phrases.
+
+    Raises:
+        InvalidInput: A file lacks one.
+    """
+    try:
+        queries = tensors["locator.log_scale"].exp() * (embedded["phrases"] - tensors["locator.contrast"])  # (P, D)
+        return {
+            _HEAT: queries @ tensors["cells.weight"],  # (P, C)
+            _HEAT_BIAS: -tensors["locator.nowhere"].expand(len(queries)),
+        }
+    except (KeyError, RuntimeError) as error:
+        raise InvalidInput(
+            f"A model of criteria has the weights of its locator, and embeddings of its phrases; got {error!r}.",
+            field="config.reward_model",
+            hint=_HINT,
+        ) from error
+
+
 def _pair(phrases: Sequence[str], caption: str) -> tuple[int, int]:
     """Returns the numbers of the two phrases that a caption relates, in its order."""
     related = Grammar(phrases, phrases).read(caption).statement
-    if related is None:
+    _, nouns = stated_criterion(caption) or (None, ())
+    pair = nouns if related is None else (related.first, related.second)
+    if len(pair) != len(("first", "second")) or not set(pair) <= set(phrases):
         raise InvalidInput(
             "The goal text must relate two objects that the reward model knows; it does not.",
             field="config.goal_text",
             hint="Relate two of its noun phrases, or choose the encoder `spatial`.",
         )
-    return phrases.index(related.first), phrases.index(related.second)
+    first, second = map(phrases.index, pair)
+    return first, second

@@ -17,6 +17,9 @@ from freerein.learning.encoders.clip import ClipImageEncoder, ClipImageSpec
 OBJECT_ENCODER = "goal_eye"
 """Value of `encoder` in configurations that chooses it; the name stays, since stored runs have it."""
 
+PHRASES_FILE = "phrases.safetensors"
+"""In the folder of a reward model of criteria: the embeddings of its phrases, `phrases`, float32 (P, D)."""
+
 _OBJECT_WIDTH = 0.2
 """Width of an object in a frame that is 2 wide: eps of table 4.1."""
 
@@ -112,7 +115,7 @@ class ObjectEncoder(nn.Module):
 
     def locate_all(self, frames: Tensor) -> tuple[Tensor, Tensor]:
         """Returns keypoints, float32 (N, P, 2), and presences (N, P), of all phrases that the encoder locates."""
-        keypoints = self.objects.relation_pool.keypoints(self.objects.feature_maps(frames))
+        keypoints = self.objects.keypoints(frames)
         presence = keypoints[:, :, 2]  # (N, P)
         down, right = (keypoints[:, :, :2] / presence[:, :, None].clamp(min=_LEAST_PRESENCE)).unbind(dim=2)
         return torch.stack([right, -down], dim=2), presence

@@ -20,6 +20,9 @@ _HEAD_CHANNELS = 16
 _HALF_MASS = 0.5
 """Sum of a phrase's squared heat at which its presence is 1/2."""
 
+_PEAK_RADIUS = 1
+"""Cells around the most probable one whose mean is the keypoint: an object's own, where another is like it."""
+
 
 @dataclass(frozen=True)
 class ClipImageSpec:
@@ -31,6 +34,7 @@ class ClipImageSpec:
         depth: Bottlenecks per stage.
         hidden_size: Units of each of the two hidden layers of the relation pooling.
         embedding_dim: Dimension of the embedding; with phrases, of each pair's.
+        at_peaks: Whether phrases are located at the peaks of their heat, by `PeakPool`, and no relations are embedded.
     """
 
     phrases: int = bounded(0, least=0, most=64)
@@ -38,6 +42,7 @@ class ClipImageSpec:
     depth: int = bounded(1, least=1, most=8)
     hidden_size: int = bounded(64, least=1, most=4096)
     embedding_dim: int = bounded(64, least=4, most=1024)
+    at_peaks: bool = False
 
 
 class ClipFeatureMaps(nn.Module):
@@ -62,16 +67,21 @@ class ClipImageEncoder(ClipFeatureMaps):
 
     def __init__(self, spec: ClipImageSpec) -> None:
         super().__init__(spec.width, spec.depth)
-        self.pool: AttentionPool | RelationPool = (
-            RelationPool(self.channels, spec.phrases, hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim)
-            if spec.phrases
-            else AttentionPool(self.channels, embedding_dim=spec.embedding_dim)
-        )
+        self.pool = _pool(spec, self.channels)
 
     def forward(self, images: Tensor) -> Tensor:
         """Returns the pooled embeddings (N, D) of images uint8 (N, H, W, 3)."""
         embeddings: Tensor = self.pool(self.feature_maps(images))
         return embeddings
+
+    def keypoints(self, images: Tensor) -> Tensor:
+        """Returns keypoints of phrases in images uint8 (N, H, W, 3), float32 (N, P, 3); see `RelationPool.keypoints`.
+
+        Raises TypeError with attention pooling.
+        """
+        if isinstance(self.pool, AttentionPool):
+            raise TypeError("This image encoder pools by attention; expected phrases.")
+        return self.pool.keypoints(self.feature_maps(images))
 
     @property
     def attention_pool(self) -> "AttentionPool":
@@ -162,6 +172,42 @@ class RelationPool(nn.Module):
         return keypoints
 
 
+class PeakPool(nn.Module):
+    """A keypoint for every phrase: the mean position near the peak of its heat.
+
+    The probability of the cells, and that the phrase is nowhere, is a softmax.
+    """
+
+    def __init__(self, channels: int, phrases: int) -> None:
+        super().__init__()
+        self.heat = nn.Linear(channels, phrases)  # above that of being nowhere
+
+    def keypoints(self, maps: Tensor) -> Tensor:
+        """Returns keypoints (N, P, 3) of feature maps (N, C, h, w), as `RelationPool` does."""
+        heat = self.heat(maps.flatten(start_dim=2).transpose(1, 2)).transpose(1, 2)  # (N, P, S)
+        probability = functional.pad(heat, (0, 1)).softmax(dim=2)[..., :-1].reshape(*heat.shape[:2], *maps.shape[2:])
+        presence = probability.sum(dim=(2, 3))[..., None]
+        return torch.cat([(2 * peak_centroids(probability).flip(2) - 1) * presence, presence], dim=2)
+
+
+def peak_centroids(probability: Tensor) -> Tensor:
+    """Returns the mean position near the most probable cell, (N, P, 2), of probabilities of cells, (N, P, h, w).
+
+    Positions are x and y as fractions of width and height.
+    """
+    height, width = probability.shape[2:]
+    smooth = functional.avg_pool2d(probability, 3, stride=1, padding=1)
+    at = smooth.flatten(start_dim=2).argmax(dim=2)  # (N, P)
+    rows, columns = torch.arange(height, device=at.device), torch.arange(width, device=at.device)
+    near_rows = (rows - (at // width)[..., None]).abs() <= _PEAK_RADIUS  # (N, P, h)
+    near_columns = (columns - (at % width)[..., None]).abs() <= _PEAK_RADIUS  # (N, P, w)
+    near = (probability + 1e-9) * (near_rows[..., :, None] & near_columns[..., None, :])
+    share = near / near.sum(dim=(2, 3), keepdim=True)
+    x = (share.sum(dim=2) * ((columns + 0.5) / width)).sum(dim=2)
+    y = (share.sum(dim=3) * ((rows + 0.5) / height)).sum(dim=2)
+    return torch.stack([x, y], dim=2)
+
+
 class Bottleneck(nn.Module):
     """CLIP's residual block, with average pooling instead of strides; the output has 4 * planes channels."""
 
@@ -183,6 +229,14 @@ class Bottleneck(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Returns (N, 4 planes, h / stride, w / stride) of x (N, channels, h, w)."""
         return functional.relu(self.residual(x) + self.shortcut(x), inplace=True)
+
+
+def _pool(spec: ClipImageSpec, channels: int) -> AttentionPool | RelationPool | PeakPool:
+    if not spec.phrases:
+        return AttentionPool(channels, embedding_dim=spec.embedding_dim)
+    if spec.at_peaks:
+        return PeakPool(channels, spec.phrases)
+    return RelationPool(channels, spec.phrases, hidden_size=spec.hidden_size, embedding_dim=spec.embedding_dim)
 
 
 def _stem(width: int) -> nn.Sequential:

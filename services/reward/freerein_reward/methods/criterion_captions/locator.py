@@ -9,10 +9,8 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
-_RADIUS = 1
-"""Cells around the most probable one whose mean is the keypoint: an object's own, where another is like it."""
+from freerein.learning.encoders.clip import peak_centroids
 
 INITIAL_LOGIT = 8.0
 """Logit, at first, of a heat at which the grounding model says that presence is 1/2, and of being nowhere."""
@@ -58,7 +56,7 @@ class Locator(nn.Module):
         nowhere = self.nowhere.expand(count, 1, len(phrases))
         logits = torch.cat([heat, nowhere], dim=1).transpose(1, 2)  # (N, K, S + 1)
         probability = logits.softmax(dim=2)
-        keypoints = _centroids(probability[..., :-1].reshape(count, -1, height, width))
+        keypoints = peak_centroids(probability[..., :-1].reshape(count, -1, height, width))
         return Located(logits, keypoints, 1 - probability[..., -1])
 
 
@@ -75,18 +73,3 @@ def target_distribution(keypoints: Tensor, *, height: int, width: int) -> Tensor
         for axis, side in enumerate((width, height))
     )
     return (rows[..., :, None] * columns[..., None, :]).flatten(start_dim=-2)
-
-
-def _centroids(probability: Tensor) -> Tensor:
-    """Returns the mean position near the most probable cell, (N, K, 2), of probabilities of cells, (N, K, h, w)."""
-    height, width = probability.shape[2:]
-    smooth = functional.avg_pool2d(probability, 3, stride=1, padding=1)
-    at = smooth.flatten(start_dim=2).argmax(dim=2)  # (N, K)
-    rows, columns = torch.arange(height, device=at.device), torch.arange(width, device=at.device)
-    near_rows = (rows - (at // width)[..., None]).abs() <= _RADIUS  # (N, K, h)
-    near_columns = (columns - (at % width)[..., None]).abs() <= _RADIUS  # (N, K, w)
-    near = (probability + 1e-9) * (near_rows[..., :, None] & near_columns[..., None, :])
-    share = near / near.sum(dim=(2, 3), keepdim=True)
-    x = (share.sum(dim=2) * ((columns + 0.5) / width)).sum(dim=2)
-    y = (share.sum(dim=3) * ((rows + 0.5) / height)).sum(dim=2)
-    return torch.stack([x, y], dim=2)

@@ -11,7 +11,8 @@ import torch
 from freerein.criteria import View
 from freerein.errors import InvalidInput, must_be, quoted
 from freerein.goal_text import words
-from freerein.learning import model_files
+from freerein.learning import model_files, tensor_files
+from freerein.learning.actor_critic.object_encoder import PHRASES_FILE
 from freerein.learning.fit_dataset import FitDataset
 from freerein.learning.methods import Method
 from freerein.learning.split import train_validation_split
@@ -157,4 +158,10 @@ def _load(folder: Path, device: str) -> CriterionModel:
     return CriterionModel(model_files.load_model(folder, CriterionSpec, CriterionNetwork, device=device))
 
 
-METHOD = Method(CriterionConfig, _check, _prepare, _card, _load, complete=_complete, needs_actions=False)
+def _files(learner: CriterionLearner) -> dict[str, bytes]:
+    """Returns the embeddings of the phrases, which an object encoder of the model asks for."""
+    texts = learner.grounding.vision_language.embed_texts(learner.spec.phrases)
+    return {PHRASES_FILE: tensor_files.dump({"phrases": texts.detach().cpu().contiguous()})}
+
+
+METHOD = Method(CriterionConfig, _check, _prepare, _card, _load, complete=_complete, needs_actions=False, files=_files)
