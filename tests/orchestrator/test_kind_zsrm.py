@@ -67,8 +67,7 @@ def test_what_no_relation_says_is_judged_by_criteria(
     assert reward["config"]["config"]["phrases"] == ["a blue puck", "a yellow puck"]
     assert reward["config"]["config"].get("views") == views
     assert reward["config"]["config"]["cameras"] == policy.get("cameras", [policy.get("camera", "front")])
-    assert images["config"]["task"] == "push.scatter"
-    assert training["config"].get("encoder") == ("spatial" if "cameras" in policy else None)
+    assert (training["config"]["encoder"], images["config"]["task"]) == ("spatial", "push.scatter")
 
 
 @pytest.mark.parametrize("policy", [{"camera": "left"}, {"height": 32, "width": 32}])

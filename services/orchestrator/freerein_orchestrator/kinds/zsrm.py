@@ -64,8 +64,8 @@ class ZsrmRunConfig:
         name: Name of the dataset, of the reward model and of the published policy; empty for the task's, with `-zsrm`.
         reward: Configuration of the reward model's fit. Its `method` is `criterion_captions` where the text is none of
             the five relations; by default one camera is then the front view, and that which the criterion is judged in.
-        policy: Configuration of the training by PPO, but for `task`, `goal_text`, `reward` and `reward_model`. Its
-            encoder is `spatial` by default where the text is of three things, or there are several cameras.
+        policy: Configuration of the training by PPO, but for `task`, `goal_text`, `reward` and `reward_model`. With
+            `criterion_captions`, its encoder is `spatial` by default.
         seed: Seed of every random draw.
 
     Raises:
@@ -132,8 +132,7 @@ class ZsrmRunConfig:
 
     def policy_config(self, text: str) -> dict[str, Any]:
         """Returns the configuration of the training of a policy that does what a text says."""
-        is_of_pair = not text or len(self.nouns(text)) == len(("first", "second"))
-        encoder = {} if is_of_pair and len(self.policy.get("cameras", ())) < 2 else {"encoder": "spatial"}
+        encoder = {"encoder": "spatial"} if text and self.method(text) == _CRITERIA else {}
         own = {"task": self.task, "goal_text": text, "reward_model": self.shared_name}
         return {**encoder, "seed": self.seed, **self.policy, **own}
 
