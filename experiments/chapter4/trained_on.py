@@ -29,7 +29,7 @@ TOLD_SUCCESS, TOLD_FAILURE = "told-success", "told-failure"
 """Shares of held-out frames of success, and of failure, that the classifier of `vice` tells as what they are."""
 
 _PPO, _RETURNS, _WON, _HELD_OUT = "ppo", "returns", "won", "won-held-out"
-_IMAGES_OF_PUCKS, _EYE, _REWARD = "images", "eye", "reward"
+_IMAGES_OF_PUCKS, _REWARD = "images", "reward"
 _HELD_OUT_SUCCESSES, _HELD_OUT_SEED = 50, 1_000_004
 _EPISODES, _IMAGES, _IMAGE_STEPS, _SUCCESSES = 100, 1000, 6, 100
 _SETTLE = 2
@@ -51,18 +51,13 @@ _PUSH_REWARD: Mapping[str, Any] = MappingProxyType(
     }
 )
 
-_PUSH_EYE: Mapping[str, Any] = MappingProxyType(
-    {"phrases": list(_PUSH_PHRASES), "cameras": ["front"], "epsilon": _PUCK_WIDTH}
-)
-"""A model of relations, whose image encoder locates pucks."""
-
 _SMALL: Mapping[str, Any] = MappingProxyType({"encoder": "spatial", "action_repeat": 2})
 """Where there is no eye: for curiosity."""
 
 _OURS: Mapping[str, Any] = MappingProxyType({"conditions": [NEAR], "carry_weight": 1.0})
 """As the teachers are trained."""
 
-_PUSHING: Mapping[str, Any] = MappingProxyType({"carry_weight": 1.0, "eye_model": _EYE, "iterations": 89})
+_PUSHING: Mapping[str, Any] = MappingProxyType({"carry_weight": 1.0, "eye_model": _REWARD, "iterations": 89})
 """As the teachers, but from the task's own starts; with images and explorations it has 198 512 ticks."""
 
 _DISSERTATIONS: Mapping[str, Any] = MappingProxyType(
@@ -96,22 +91,22 @@ _BALANCING: Mapping[str, Any] = MappingProxyType(
 
 
 def shared_steps(arm: Arm) -> list[Step]:
-    """Returns the steps that make what all trainings of a seed begin with: of pucks images, an eye, a reward model."""
+    """Returns the steps that make what all trainings of a seed begin with: images of pucks, and a reward model of them.
+
+    Its image encoder is the eye of all policies that have one.
+    """
     if arm.world != PUSH:
         return []
     images = {"behaviour": "random", "count": _IMAGES, "cameras": ["front"], "seed": arm.seed}
     return [
         step(_IMAGES_OF_PUCKS, "collect", dataset=_IMAGES_OF_PUCKS, task="push.scatter", **images),
-        *(
-            step(
-                name,
-                "fit",
-                service="reward",
-                dataset=_IMAGES_OF_PUCKS,
-                model_name=name,
-                config={**config, "seed": arm.seed},
-            )
-            for name, config in ((_EYE, _PUSH_EYE), (_REWARD, _PUSH_REWARD))
+        step(
+            _REWARD,
+            "fit",
+            service="reward",
+            dataset=_IMAGES_OF_PUCKS,
+            model_name=_REWARD,
+            config={**_PUSH_REWARD, "seed": arm.seed},
         ),
     ]
 
