@@ -260,11 +260,11 @@ async def test_a_demonstration_that_nobody_waits_for_any_more_is_not_made(start_
     await pool.demonstrate(request)
     (demonstrator,) = (child for child in children() if child not in others)
     before_s = demonstrator.cpu_times().user
-    for _ in range(20):
+    for _ in range(300):
         await pool.demonstrate(request)
-    twenty_s = demonstrator.cpu_times().user - before_s
+    all_s = demonstrator.cpu_times().user - before_s
     stop(demonstrator)
-    calls = [asyncio.create_task(pool.demonstrate(request)) for _ in range(100)]
+    calls = [asyncio.create_task(pool.demonstrate(request)) for _ in range(300)]
     await asyncio.sleep(0)
 
     for call in calls[:-1]:
@@ -274,7 +274,7 @@ async def test_a_demonstration_that_nobody_waits_for_any_more_is_not_made(start_
     demonstrator.resume()
 
     assert (await calls[-1]).index == 0
-    assert demonstrator.cpu_times().user - before_s < twenty_s  # two were made: the one begun and the one awaited
+    assert demonstrator.cpu_times().user - before_s < all_s / 2  # two were made: the one begun and the one awaited
 
 
 async def test_refusals_cross_the_socket_whole(start_pool: StartPool) -> None:
