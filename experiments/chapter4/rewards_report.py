@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import starmap
 from types import MappingProxyType
 
 from experiments.chapter4.trained_on import (
@@ -29,6 +30,7 @@ _PER_CENT, _RATIO_SEEDS = 100, 5
 _LEAST, _LEAST_LOW, _LEAST_ORACLE = 0.95, 0.85, 0.6
 _RATIOS = MappingProxyType({PUSH: "push_ratio", STACK: "stack_ratio", PLACE: "place_ratio"})
 
+_RATIO_HEADER = ("claim", "seeds", "ratio [95 % interval]", "of seeds resampled apart", "must reach", "met")
 _CLASSIFIER = "What the classifier of `vice` tells right, in frames of 50 successes that it has not seen"
 
 Group = tuple[str, str, str]
@@ -47,11 +49,11 @@ def manipulation(results: Sequence[ArmResult]) -> Table:
         title="Figure 4.6: rewards that policies were trained on",
         text=words("fig_4_6"),
         sections=(
-            Section(("claim", "ratio [95 % interval]", "must reach", "met"), tuple(map(_ratio_row, ratios)), "Ratios"),
+            Section(_RATIO_HEADER, tuple(starmap(_ratio_row, ratios)), "Ratios"),
             Section(header, tuple(_row(group, arms) for group, arms in groups.items()), "Returns"),
             Section(("task", "seeds", "success, %", "failure, %"), tuple(_classifiers(groups)), _CLASSIFIER),
         ),
-        claims=(*ratios, *returns),
+        claims=(*(claim for claim, _ in ratios), *returns),
         picture=Picture("Returns by reward", draw),
     )
 
@@ -81,35 +83,42 @@ def _groups(results: Sequence[ArmResult]) -> dict[Group, list[ArmResult]]:
     return dict(sorted(found.items()))
 
 
-def _ratios(groups: dict[Group, list[ArmResult]]) -> Iterator[Claim]:
+def _ratios(groups: dict[Group, list[ArmResult]]) -> Iterator[tuple[Claim, tuple[float, float]]]:
     """Yields what a policy earns by the oracle that was trained on our reward, as a share of one trained on its own.
 
-    It counts where that one comes near the expert: two policies that earn nothing are alike, too.
+    It counts where that one comes near the expert: two policies that earn nothing are alike, too. Beside it stands the
+    interval of seeds that are resampled apart.
     """
     for task, name in _RATIOS.items():
-        ours, oracle = (groups.get((task, OURS, reward), []) for reward in (LEARNED, ORACLE))
-        if not (ours and oracle):
+        ours, oracle = _of_same_seeds(*(groups.get((task, OURS, reward), []) for reward in (LEARNED, ORACLE)))
+        if not ours:
             continue
         own, theirs = _samples(ours, POINTS), _samples(oracle, POINTS)
-        value, (low, high) = claims.mean(own) / claims.mean(theirs), claims.ratio_interval(own, theirs)
+        value, (low, high) = claims.mean(own) / claims.mean(theirs), claims.paired_ratio_interval(own, theirs)
         counts = claims.mean(_samples(oracle, RETURN)) >= _LEAST_ORACLE
-        is_complete = min(len(ours), len(oracle)) == _RATIO_SEEDS
-        yield Claim(
+        claim = Claim(
             claim=name,
             value=round(value, 4),
             low=round(low, 4),
             high=round(high, 4),
-            seeds=min(len(ours), len(oracle)),
+            seeds=len(ours),
             trials=len(own[0].totals),
             scale="full",
             baseline=round(claims.mean(theirs), 3),
             dissertation=1.0,
             target=_LEAST,
-            met=is_complete and counts and value >= _LEAST and low >= _LEAST_LOW,
+            met=len(ours) == _RATIO_SEEDS and counts and value >= _LEAST and low >= _LEAST_LOW,
             world_version=ours[0].world_version,
             command="python -m experiments run fig_4_6",
             minutes=round(sum(arm.minutes for arm in (*ours, *oracle)), 2),
         )
+        yield claim, claims.ratio_interval(own, theirs)
+
+
+def _of_same_seeds(*groups: Sequence[ArmResult]) -> list[list[ArmResult]]:
+    """Returns the arms of each group whose seeds all groups have."""
+    seeds = set.intersection(*({arm.seed for arm in arms} for arms in groups))
+    return [[arm for arm in arms if arm.seed in seeds] for arms in groups]
 
 
 def _return_claim(figure: str, group: Group, arms: Sequence[ArmResult], name: str, unit: float) -> Claim:
@@ -128,9 +137,9 @@ def _samples(arms: Sequence[ArmResult], name: str) -> list[Sample]:
     return [each.samples[name] for each in arms]
 
 
-def _ratio_row(claim: Claim) -> tuple[str, ...]:
-    met = "yes" if claim.met else "**no**"
-    return f"`{claim.claim}`", f"{claim.value:.3f} [{claim.low:.3f}, {claim.high:.3f}]", f">= {claim.target}", met
+def _ratio_row(claim: Claim, apart: tuple[float, float]) -> tuple[str, ...]:
+    ratio, other = f"{claim.value:.3f} [{claim.low:.3f}, {claim.high:.3f}]", f"[{apart[0]:.3f}, {apart[1]:.3f}]"
+    return f"`{claim.claim}`", str(claim.seeds), ratio, other, f">= {claim.target}", "yes" if claim.met else "**no**"
 
 
 def _row(group: Group, arms: Sequence[ArmResult]) -> tuple[str, ...]:

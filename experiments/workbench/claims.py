@@ -96,6 +96,17 @@ def ratio_interval(samples: Sequence[Sample], others: Sequence[Sample]) -> tuple
     return _middle(means / other_means)
 
 
+def paired_ratio_interval(samples: Sequence[Sample], others: Sequence[Sample]) -> tuple[float, float]:
+    """Returns `ratio_interval` with the same resampled seeds in both, of trainings that a seed begins alike.
+
+    Args:
+        samples: Of each seed.
+        others: Of the same seeds, in their order.
+    """
+    means, other_means = _resampled_means([samples, others], pairs_seeds=True)
+    return _middle(means / other_means)
+
+
 def difference_interval(samples: Sequence[Sample], others: Sequence[Sample]) -> tuple[float, float]:
     """Returns the 95 % interval of the difference of two means over seeds, as `ratio_interval`."""
     means, other_means = _resampled_means([samples, others])
@@ -112,14 +123,16 @@ def gap_closed(value: float, *, baseline: float | None, ceiling: float | None, l
     return (value - baseline) / (ceiling - baseline)
 
 
-def _resampled_means(groups: Sequence[Sequence[Sample]]) -> list[npt.NDArray[np.float64]]:
+def _resampled_means(groups: Sequence[Sequence[Sample]], *, pairs_seeds: bool = False) -> list[npt.NDArray[np.float64]]:
     """Returns the means over resampled seeds of the figure over resampled trials, float64 (resamples,), of each group.
 
-    Samples of as many trials have the same resampled trials.
+    Samples of as many trials have the same resampled trials; where seeds are paired, all groups have the same seeds.
     """
     drawn, rng = _draw_trials(tuple(sorted({len(sample.totals) for samples in groups for sample in samples})))
-    means = []
+    means, state = [], rng.bit_generator.state
     for samples in groups:
+        if pairs_seeds:
+            rng.bit_generator.state = state
         ratios = np.stack([_ratios(sample, drawn[len(sample.totals)]) for sample in samples], axis=1)  # (R, seeds)
         seeds = rng.integers(len(samples), size=ratios.shape)
         means.append(np.take_along_axis(ratios, seeds, axis=1).mean(axis=1))

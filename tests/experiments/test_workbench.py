@@ -131,6 +131,13 @@ def test_the_interval_of_a_ratio_covers_both_of_its_parts() -> None:
     assert (low, high) == pytest.approx((0.98, 1.17), abs=0.03)
 
 
+def test_of_seeds_that_begin_alike_the_interval_of_a_ratio_is_narrower() -> None:
+    unequal = [Sample([10 * trial] * 50, [10] * 50) for trial in (0.4, 1.0, 1.0)]
+    assert claims.paired_ratio_interval(unequal, unequal) == (1.0, 1.0)
+    low, high = claims.ratio_interval(unequal, unequal)
+    assert low < 0.9 < 1.1 < high
+
+
 def test_the_gap_closed_is_a_share_and_none_without_a_gap() -> None:
     assert claims.gap_closed(0.9, baseline=0.6, ceiling=1.0, least_gap=0.1) == pytest.approx(0.75)
     assert claims.gap_closed(0.5, baseline=0.6, ceiling=1.0, least_gap=0.1) == pytest.approx(-0.25)
