@@ -57,8 +57,10 @@ _SMALL: Mapping[str, Any] = MappingProxyType({"encoder": "spatial", "action_repe
 _OURS: Mapping[str, Any] = MappingProxyType({"conditions": [NEAR], "carry_weight": 1.0})
 """As the teachers are trained."""
 
-_PUSHING: Mapping[str, Any] = MappingProxyType({"carry_weight": 1.0, "eye_model": _REWARD, "iterations": 89})
-"""As the teachers, but from the task's own starts; with images and explorations it has 198 512 ticks."""
+_PUSHING: Mapping[str, Any] = MappingProxyType(
+    {"carry_weight": 1.0, "eye_model": _REWARD, "episode_steps": 0, "iterations": 89}
+)
+"""As the teachers, but from the task's own starts, in whole episodes; with images and explorations: 198 512 ticks."""
 
 _DISSERTATIONS: Mapping[str, Any] = MappingProxyType(
     {

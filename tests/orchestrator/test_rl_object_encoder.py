@@ -10,7 +10,8 @@ import torch
 from freerein.errors import InvalidInput
 from freerein.learning import model_files, tensor_files, weights
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
-from freerein.learning.actor_critic.object_encoder import PHRASES_FILE, ObjectEncoder, _robust_regression
+from freerein.learning.actor_critic.hand_eye import HandEye, by_moving_pixels, robust_regression
+from freerein.learning.actor_critic.object_encoder import PHRASES_FILE, ObjectEncoder, ObjectEncoderSpec
 from freerein.learning.augmentation import add_distractors
 from freerein.learning.model_files import MODEL
 from freerein.model_store import CLONE_MODELS, ModelStore
@@ -144,8 +145,46 @@ def test_where_a_body_holds_things_is_found_to_the_same_bits_whatever_was_in_mem
     inputs, targets = torch.randn(300, 3, generator=draws), torch.randn(300, 2, generator=draws)
     for number in range(50):
         torch.full((64,), number)  # memory that the next tensors may get
-        found.append(_robust_regression(inputs, targets)[0])
+        found.append(robust_regression(inputs, targets)[0])
     assert all(torch.equal(found[0], each) for each in found)
+
+
+def test_a_hand_that_pushes_is_found_where_frames_change_by_its_foot() -> None:
+    seen, places = explore(np.random.default_rng(0), 40)
+    still = Exploration(seen.frames[::2], seen.actions[::2])  # nothing is carried
+    body = torch.from_numpy(places[::2] / STEP * (1, -1)).float()
+
+    found = by_moving_pixels(body, still.frames)
+
+    assert found is not None
+    pixel = 2 / 64
+    torch.testing.assert_close(found.coefficients, STEP * pixel * torch.eye(2), atol=0.02, rtol=0)
+    middle, foot = ((found.origin - torch.tensor([-1.0, 1.0])) / pixel).tolist()  # of a body at column and row 0
+    assert middle == pytest.approx(0, abs=1)
+    assert foot == pytest.approx(-5, abs=2)  # its lower edge
+    assert by_moving_pixels(body, still.frames[:, :1].expand_as(still.frames)) is None
+
+
+def test_a_frame_that_foreshortens_ways_is_stretched() -> None:
+    turned = torch.tensor([[0.0, -0.15], [0.3, 0.0]])  # the first action goes down, and is seen half as long
+    metric = HandEye(turned, torch.zeros(2)).ground_metric()
+    torch.testing.assert_close(metric, torch.diag(torch.tensor([1.0, 2.0])))
+
+
+def test_of_what_is_pushed_an_encoder_tells_where_the_push_begins(folder: Path) -> None:
+    image = load_reward_encoder(folder, goal_caption=CAPTION, camera=CAMERA).spec.image
+    encoder = ObjectEncoder(ObjectEncoderSpec(image, pushed=True), height=64, width=64, action_size=2)
+    encoder.hand_eye.copy_(torch.eye(2))
+    encoder.metric.copy_(torch.diag(torch.tensor([1.0, 2.0])))
+    keypoints = torch.tensor([[[0.0, 0.0], [0.0, 0.4]]])  # the second is 2 widths above in the frame, 4 on the table
+    body = torch.tensor([[0.0, -0.14]])  # 1.4 widths below the first, on the table
+
+    features = encoder.features(body, keypoints, torch.tensor([[0.9, 0.4]]))
+
+    torch.testing.assert_close(features[0, 2:8], torch.tensor([0.0, 0.0, 0.0, -1.4, 0.0, -4.0]))
+    assert encoder.nearness(features).item() == 6
+    torch.testing.assert_close(encoder.offset(features), torch.tensor([[0.0, -4.0]]))
+    assert not encoder.sees_both(features)
 
 
 @pytest.mark.parametrize(
@@ -205,7 +244,7 @@ def test_of_a_model_of_criteria_the_encoder_finds_phrases_where_the_model_does(f
         frames = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (4, 64, 64, 3), np.uint8))
         found = network.locate(network.embed_cells(frames[:, None]), embedded)
         keypoints, presence = eye.locate_all(frames)
-    assert (encoder.spec.first, encoder.spec.second) == (2, 0)
+    assert (encoder.spec.first, encoder.spec.second, encoder.spec.pushed) == (2, 0, True)
     torch.testing.assert_close(presence, found.presence[:, 0], atol=1e-5, rtol=0)
     seen = found.presence[:, 0] > 0.2  # what is seen less is drawn to the middle
     assert seen.any()

@@ -130,6 +130,22 @@ def test_shaping_adds_to_the_return_of_an_episode_only_what_its_ends_are_worth()
     torch.testing.assert_close(returns, 0.9**3 * last * is_truncated - first)
 
 
+def test_what_shapes_stays_as_it_was_where_it_is_not_known() -> None:
+    envs, generator = ScriptedEnvs(), torch.Generator().manual_seed(0)
+    network = init_network(ActorCriticSpec(vector_size=2), generator)
+    rollout, _ = collect(network, envs, CollectorState.init(envs, network, generator), num_steps=5)
+
+    def never(observations: torch.Tensor) -> torch.Tensor:
+        return torch.zeros(observations.shape[:-1], dtype=torch.bool)
+
+    shaping = Shaping(lambda observations: observations[..., 0], PPOConfig(gamma=0.9), never).rewards(rollout)
+
+    first, second = rollout.observations[0, :, 0], rollout.observations[3, :, 0]  # of two episodes
+    torch.testing.assert_close(shaping[:2], -0.1 * first.expand(2, -1))
+    torch.testing.assert_close(shaping[3:], -0.1 * second.expand(2, -1))
+    torch.testing.assert_close(shaping[2], (0.9 * torch.tensor([0.0, 1.0, 0.0]) - 1) * first)  # two are terminated
+
+
 def test_groups_of_environments_are_collected_as_one_rollout() -> None:
     generator = torch.Generator().manual_seed(0)
     network = init_network(ActorCriticSpec(vector_size=2), generator)

@@ -5,10 +5,13 @@ They tell how near the body is to the object that the goal moves, and how near t
     F(s, s') = gamma * Phi(s') - Phi(s)
 
 Added to another reward, it changes the returns of all policies from one start by the same, so what is best stays best.
+A hand that pushes hides things from the camera. While it does, Phi stays what it was: a potential of the history, which
+changes returns as little.
 """
 
 from collections.abc import Callable
 
+import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
@@ -26,16 +29,38 @@ class Shaping(Reward):
     Args:
         potential: Phi of observations as the network takes them, (..., D) -> (...); that of a terminal state is 0.
         config: Has the discount factor.
+        is_known: Where it is known, (..., D) -> bool (...); None for everywhere.
     """
 
-    def __init__(self, potential: Callable[[Tensor], Tensor], config: PPOConfig) -> None:
+    def __init__(
+        self,
+        potential: Callable[[Tensor], Tensor],
+        config: PPOConfig,
+        is_known: Callable[[Tensor], Tensor] | None = None,
+    ) -> None:
         self._potential = potential
         self._config = config
+        self._is_known = is_known
 
     def rewards(self, rollout: RolloutBuffer) -> Tensor:
         """Returns F of each timestep, float32 (T, N)."""
-        after = self._potential(rollout.next_observations) * ~rollout.terminated
-        return self._config.gamma * after - self._potential(rollout.observations)
+        before, after = self._potential(rollout.observations), self._potential(rollout.next_observations)
+        if self._is_known:
+            before, after = _kept(before, after, self._is_known(rollout.next_observations), rollout.episode_starts)
+        return self._config.gamma * after * ~rollout.terminated - before
+
+
+def _kept(before: Tensor, after: Tensor, is_known: Tensor, starts: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns potentials before and after each timestep, (T, N), in which the last that was known goes on.
+
+    The first of an episode, and of a rollout, counts as known.
+    """
+    before, after = before.clone(), after.clone()
+    for timestep in range(len(before)):
+        if timestep:
+            before[timestep] = torch.where(starts[timestep], before[timestep], after[timestep - 1])
+        after[timestep] = torch.where(is_known[timestep], after[timestep], before[timestep])
+    return before, after
 
 
 def _make(setting: RewardSetting, network: ActorCritic) -> Shaping:
@@ -49,7 +74,7 @@ def _make(setting: RewardSetting, network: ActorCritic) -> Shaping:
             value = value + config.carry_weight * carried(encoder.offset(features))
         return value
 
-    return Shaping(potential, config)
+    return Shaping(potential, config, encoder.sees_both if encoder.pushes else None)
 
 
 SHAPING = RewardEntry(

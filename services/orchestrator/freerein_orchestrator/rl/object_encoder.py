@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from freerein.config import parse
+from freerein.criteria import CRITERIA
 from freerein.criterion_text import stated_criterion
 from freerein.errors import InvalidInput
 from freerein.goal_text import Grammar
@@ -87,7 +88,9 @@ def load_reward_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> R
             field="config.reward_model",
             hint="Fit the reward model again, choose another one, or the encoder `spatial`.",
         )
-    return RewardEncoder(goal_caption, ObjectEncoderSpec(image, first, second), weights)
+    criterion, _ = stated_criterion(goal_caption) or (None, ())
+    spec = ObjectEncoderSpec(image, first, second, pushed=criterion is CRITERIA["close_to"])
+    return RewardEncoder(goal_caption, spec, weights)
 
 
 def fit_object_encoder(

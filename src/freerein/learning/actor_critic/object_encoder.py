@@ -1,7 +1,7 @@
 """The frozen object encoder of a policy: keypoints of the goal's two objects and of the policy's own body in a frame.
 
-A reward model's image encoder locates the two noun phrases of a goal text. A `BodyEncoder` locates the body, and the
-objects that it moved give its position in the frame (hand-eye calibration). Nothing of it is trained by rewards.
+A reward model's image encoder locates the two noun phrases of a goal text. A `BodyEncoder` locates the body, and
+`hand_eye` has where that is in the frame. Nothing of it is trained by rewards.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from freerein.config import bounded
+from freerein.learning.actor_critic import hand_eye
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
 from freerein.learning.encoders.clip import ClipImageEncoder, ClipImageSpec
 
@@ -27,13 +28,12 @@ _BODY_SCALE = 2.0
 _LEAST_PRESENCE, _SEEN = 0.2, 0.5
 """Presence that a keypoint is divided by at least, and from which an object counts as seen."""
 
-_MOVED, _LEAST_MOVES = 0.04, 32
-"""Change of position of a moved object, in frames 2 wide, and the fewest such changes that are regressed on."""
-
-_REGRESSION_ROUNDS, _NOISE = 10, 0.02
 _FRAMES_AT_ONCE = 16
-_REACH = 4.0
-"""Distance in object widths from which an object is no nearer than any other."""
+_REACH = {False: 4.0, True: 6.0}
+"""Distance in object widths from which what is carried, and what is pushed, is no nearer than any other."""
+
+_BEHIND = 1.4
+"""Distance in object widths behind a pushed object where a push begins."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,13 @@ class ObjectEncoderSpec:
         image: Sizes of the reward model's image encoder.
         first: Number of the goal text's first noun phrase, among those that the encoder locates.
         second: Number of its second one.
+        pushed: Whether the first object is pushed to the second; else it is carried.
     """
 
     image: ClipImageSpec
     first: int = bounded(0, least=0, most=63)
     second: int = bounded(1, least=0, most=63)
+    pushed: bool = False
 
 
 class ObjectEncoder(nn.Module):
@@ -59,19 +61,26 @@ class ObjectEncoder(nn.Module):
         height: Frame height in pixels.
         width: Frame width in pixels.
         action_size: Numbers per action.
+
+    Attributes:
+        size: Numbers per frame.
+        pushes: Whether the first object is pushed.
     """
 
     def __init__(self, spec: ObjectEncoderSpec, *, height: int, width: int, action_size: int) -> None:
         super().__init__()
         self.size = action_size + 8
         self._action_size = action_size
-        self._pair = [spec.first, spec.second]
+        self._pair, self.pushes = [spec.first, spec.second], spec.pushed
         self.objects = ClipImageEncoder(spec.image).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.body = BodyEncoder(height=height, width=width, action_size=action_size)
         self.register_buffer("hand_eye", torch.zeros(action_size, 2))
         self.register_buffer("grasp", torch.zeros(2))
         self.hand_eye: Tensor
         self.grasp: Tensor
+        if spec.pushed:
+            self.register_buffer("metric", torch.eye(2))
+            self.metric: Tensor
         self.requires_grad_(False)
         self.train(False)
 
@@ -82,8 +91,10 @@ class ObjectEncoder(nn.Module):
     def forward(self, frames: Tensor) -> Tensor:
         """Returns features, float32 (N, size).
 
-        They are the body's position; offsets between its grasp and both objects, and between these, in object widths to
-        the right and up; and the presence of both objects.
+        They are the body's position; three offsets in object widths to the right and up; and the presence of both
+        objects. Offsets are those of the grasp from both objects, and of the first from the second. Where the first is
+        pushed, they are those of the hand from where the push begins and from the first, and of this from the second,
+        on the table, not in the frame (`HandEye.ground_metric`).
         """
         return self.features(self.body(frames), *self.locate(frames))
 
@@ -91,18 +102,28 @@ class ObjectEncoder(nn.Module):
         """Returns features as `forward` does, of the body's position (N, A), keypoints and presences of `locate`."""
         first, second = keypoints.unbind(dim=1)
         held = body @ self.hand_eye + self.grasp  # (N, 2)
-        offsets = torch.cat([held - first, held - second, first - second], dim=1) / _OBJECT_WIDTH
+        if self.pushes:
+            from_first, apart = (each @ self.metric / _OBJECT_WIDTH for each in (held - first, first - second))
+            away = apart / apart.norm(dim=1, keepdim=True).clamp(min=1e-6)
+            offsets = torch.cat([from_first - _BEHIND * away, from_first, apart], dim=1)
+        else:
+            offsets = torch.cat([held - first, held - second, first - second], dim=1) / _OBJECT_WIDTH
         return torch.cat([_BODY_SCALE * body, offsets, presence], dim=1)
 
     def nearness(self, features: Tensor) -> Tensor:
-        """Returns the nearness of the body's grasp to the first object, (...), in [0, 4] widths.
+        """Returns the nearness of the grasp to the first object, or to where a push begins, (...), in object widths.
 
         Args:
             features: From `forward`, possibly with others behind them, (..., at least size).
         """
         offset = features[..., self._action_size : self._action_size + 2]
-        near: Tensor = (_REACH - offset.norm(dim=-1)).clamp(min=0)
+        near: Tensor = (_REACH[self.pushes] - offset.norm(dim=-1)).clamp(min=0)
         return near
+
+    def sees_both(self, features: Tensor) -> Tensor:
+        """Returns whether both objects are seen, bool (...); the offsets of what is not seen are arbitrary."""
+        presence = features[..., self._action_size + 6 : self._action_size + 8]
+        return (presence > _SEEN).all(dim=-1)
 
     def offset(self, features: Tensor) -> Tensor:
         """Returns the first object's offset from the second, in object widths to the right and up, (..., 2)."""
@@ -140,41 +161,20 @@ class ObjectEncoder(nn.Module):
 
     @torch.no_grad()
     def _fit_hand_eye(self, seen: Exploration) -> None:
-        """Fits `hand_eye` and `grasp` to objects that moved, all but some of them with the body.
-
-        Where too few did, they stay zero: offsets from the body are then positions in the frame.
-        """
+        """Fits `hand_eye` and `grasp`; where too little moved, they stay zero: offsets are positions in the frame."""
         shape, device = seen.frames.shape[:2], self.grasp.device
         parts = [each.to(device) for each in torch.split(seen.frames.flatten(end_dim=1), _FRAMES_AT_ONCE)]
         body = torch.cat([self.body(part) for part in parts]).view(*shape, -1)  # (B, T + 1, A)
-        located = [self.locate(part) for part in parts]
-        keypoints = torch.cat([each for each, _ in located]).view(*shape, 2, 2)
-        presence = torch.cat([each for _, each in located]).view(*shape, 2)
-        is_seen = presence > _SEEN
-        change = keypoints.diff(dim=1)  # (B, T, 2, 2)
-        has_moved = (change.abs().amax(dim=3) > _MOVED) & is_seen[:, 1:] & is_seen[:, :-1]  # (B, T, 2)
-        if has_moved.sum() < _LEAST_MOVES:
+        if self.pushes:
+            found = hand_eye.by_moving_pixels(body, seen.frames)
+        else:
+            located = [self.locate(part) for part in parts]
+            keypoints = torch.cat([each for each, _ in located]).view(*shape, 2, 2)
+            presence = torch.cat([each for _, each in located]).view(*shape, 2)
+            found = hand_eye.by_held_objects(body, keypoints, presence)
+        if found is None:
             return
-        moves = body.diff(dim=1)[:, :, None].expand(-1, -1, 2, -1)[has_moved]  # (M, A)
-        coefficients, errors = _robust_regression(moves, change[has_moved])
-        together = errors < _MOVED
-        if together.sum() < _LEAST_MOVES:
-            return
-        after = body[:, 1:, None].expand(-1, -1, 2, -1)[has_moved][together]
-        self.hand_eye.copy_(coefficients)
-        self.grasp.copy_((keypoints[:, 1:][has_moved][together] - after @ coefficients).median(dim=0).values)
-
-
-def _robust_regression(inputs: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
-    """Returns coefficients (A, 2) that minimise absolute errors of inputs (M, A) and targets (M, 2), and errors (M,).
-
-    By iteratively reweighted least squares, on the CPU: inputs may depend on each other, and of the drivers that allow
-    for that, the default one does not always return the same bits.
-    """
-    weight = torch.ones(len(inputs), 1, device=inputs.device)
-    for _ in range(_REGRESSION_ROUNDS):
-        weighted = (inputs * weight).cpu(), (targets * weight).cpu()
-        coefficients = torch.linalg.lstsq(*weighted, driver="gelsd").solution.to(inputs.device)
-        errors = (targets - inputs @ coefficients).abs().amax(dim=1)
-        weight = errors.clamp(min=_NOISE).rsqrt()[:, None]
-    return coefficients, errors
+        self.hand_eye.copy_(found.coefficients)
+        self.grasp.copy_(found.origin)
+        if self.pushes:
+            self.metric.copy_(found.ground_metric())

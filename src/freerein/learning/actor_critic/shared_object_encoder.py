@@ -99,11 +99,17 @@ def save_object_encoder(policy: StoredPolicy, *, phrases: tuple[str, ...], folde
         folder: Made when missing.
 
     Raises:
-        InvalidInput: The policy has no object encoder.
+        InvalidInput: The policy has no object encoder, or one of what is pushed.
     """
     spec, encoder = policy.network.spec, policy.network.eye
     if spec.eye is None or encoder is None:
         raise no_object_encoder()
+    if spec.eye.pushed:
+        raise InvalidInput(
+            "The student of several teachers sees things as those do that carry them; its first teacher pushes.",
+            field="config.encoder",
+            hint="Choose an image encoder for the student, such as `spatial`.",
+        )
     shared = SharedObjectEncoder(
         SharedObjectEncoderSpec(spec.eye.image, phrases, spec.height, spec.width, spec.action_size)
     )
