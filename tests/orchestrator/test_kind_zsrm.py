@@ -51,15 +51,16 @@ def test_what_cannot_be_learned_from_is_refused_before_anything_is_done(wrong: d
 
 
 @pytest.mark.parametrize(
-    ("text", "policy", "views"),
+    ("text", "policy", "views", "encoder"),
     [
-        ("put a blue puck near a yellow puck", {}, ["front", "", "front"]),
-        ("a blue puck behind a yellow puck", {"camera": "left"}, ["left", "left", ""]),
-        ("a blue puck behind a yellow puck", {"cameras": ["front", "left"]}, None),
+        ("put a blue puck near a yellow puck", {}, ["front", "", "front"], "goal_eye"),
+        ("put a blue puck near a yellow puck", {"gray": True}, ["front", "", "front"], "spatial"),
+        ("a blue puck behind a yellow puck", {"camera": "left"}, ["left", "left", ""], "spatial"),
+        ("a blue puck behind a yellow puck", {"cameras": ["front", "left"]}, None, "spatial"),
     ],
 )
 def test_what_no_relation_says_is_judged_by_criteria(
-    text: str, policy: dict[str, Any], views: list[str] | None
+    text: str, policy: dict[str, Any], views: list[str] | None, encoder: str
 ) -> None:
     task = replace(TASK, name="push")
     images, reward, training = pipeline_steps(ZsrmRunConfig(task.name, text, policy=policy), task, "push.scatter")
@@ -67,7 +68,7 @@ def test_what_no_relation_says_is_judged_by_criteria(
     assert reward["config"]["config"]["phrases"] == ["a blue puck", "a yellow puck"]
     assert reward["config"]["config"].get("views") == views
     assert reward["config"]["config"]["cameras"] == policy.get("cameras", [policy.get("camera", "front")])
-    assert (training["config"]["encoder"], images["config"]["task"]) == ("spatial", "push.scatter")
+    assert (training["config"]["encoder"], images["config"]["task"]) == (encoder, "push.scatter")
 
 
 @pytest.mark.parametrize("policy", [{"camera": "left"}, {"height": 32, "width": 32}])

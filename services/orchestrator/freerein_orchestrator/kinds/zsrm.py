@@ -18,7 +18,7 @@ from typing import Any
 from freerein.atomic_files import write_atomic
 from freerein.clients.tasks import find_camera, find_task
 from freerein.config import bounded, parse
-from freerein.criteria import View
+from freerein.criteria import CRITERIA, View
 from freerein.criterion_text import stated_criterion
 from freerein.errors import InvalidInput, NotFound, must_be, quoted
 from freerein.goal_text import noun_phrases
@@ -46,6 +46,12 @@ _CRITERIA = "criterion_captions"
 _IMAGE_SIZE = 64
 """Height and width of what reward models see, in pixels."""
 
+_PUSHING: Mapping[str, Any] = {"encoder": OBJECT_ENCODER, "carry_weight": 1.0, "episode_steps": 0}
+"""Of trainings of policies that bring one thing close to another."""
+
+_MORE_FRAMES = frozenset({"cameras", "frame_stack", "gray"})
+"""Keys of trainings that see what an object encoder does not."""
+
 _OWN = ("task", "goal_text", "reward", "reward_model")
 """Keys of the training that this kind sets."""
 
@@ -65,7 +71,8 @@ class ZsrmRunConfig:
         reward: Configuration of the reward model's fit. Its `method` is `criterion_captions` where the text is none of
             the five relations; by default one camera is then the front view, and that which the criterion is judged in.
         policy: Configuration of the training by PPO, but for `task`, `goal_text`, `reward` and `reward_model`. With
-            `criterion_captions`, its encoder is `spatial` by default.
+            `criterion_captions`, its encoder is `spatial` by default; where one thing is to be close to another, and one
+            frame of one camera is seen, it is `goal_eye`, with `carry_weight=1` and `episode_steps=0`.
         seed: Seed of every random draw.
 
     Raises:
@@ -132,9 +139,15 @@ class ZsrmRunConfig:
 
     def policy_config(self, text: str) -> dict[str, Any]:
         """Returns the configuration of the training of a policy that does what a text says."""
-        encoder = {"encoder": "spatial"} if text and self.method(text) == _CRITERIA else {}
         own = {"task": self.task, "goal_text": text, "reward_model": self.shared_name}
-        return {**encoder, "seed": self.seed, **self.policy, **own}
+        return {**self._policy_defaults(text), "seed": self.seed, **self.policy, **own}
+
+    def _policy_defaults(self, text: str) -> Mapping[str, Any]:
+        if not text or self.method(text) != _CRITERIA:
+            return {}
+        criterion, _ = stated_criterion(text) or (None, ())
+        sees_one_frame = _MORE_FRAMES.isdisjoint(self.policy)
+        return _PUSHING if criterion is CRITERIA["close_to"] and sees_one_frame else {"encoder": "spatial"}
 
 
 def pipeline_steps(config: ZsrmRunConfig, task: Task, scenes: str) -> list[dict[str, Any]]:
