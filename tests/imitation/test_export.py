@@ -13,8 +13,11 @@ from tests.imitation.test_publish import CARD, FRAMES, RUN, leave, make
 from typer.testing import CliRunner
 
 from freerein.cli.__main__ import app
+from freerein.learning.actor_critic.object_encoder import ObjectEncoderSpec
+from freerein.learning.encoders.clip import ClipImageSpec
 from freerein.learning.model_files import save_model
 from freerein.model_store import ModelStore
+from freerein_imitation.export import export_policy
 from freerein_imitation.methods import METHODS
 from freerein_imitation.methods.shared.goal_images.recognizer import GoalRecognizerNetwork, GoalRecognizerSpec
 
@@ -67,6 +70,14 @@ def test_the_graph_of_a_run_acts_step_after_step_as_the_served_policy(
     ran: dict[str, Any] = {"frames": FRAMES}
     exec(program, ran)
     assert ran["action"].shape == (3,)
+
+
+@pytest.mark.long
+def test_a_policy_that_sees_by_an_object_encoder_is_exported(tmp_path: Path) -> None:
+    image = ClipImageSpec(phrases=2, at_peaks=True)
+    leave(tmp_path, make(recurrent=False, eye=ObjectEncoderSpec(image, pushed=True)))
+    export_policy(tmp_path / "runs" / RUN / "artifacts", tmp_path / "exported", data="")  # checks the graph
+    assert (tmp_path / "exported" / "policy.onnx").exists()
 
 
 @pytest.mark.long

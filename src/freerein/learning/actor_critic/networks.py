@@ -195,7 +195,7 @@ class ActorCritic(nn.Module):
             starts: Whether an episode starts with it, bool (N,).
         """
         if self.eye is not None:
-            if not len(seen):  # the final ones of a step after which no episode ended
+            if seen.shape[0] == 0:  # the final ones of a step after which no episode ended
                 return torch.zeros(0, self.eye.size + self.spec.action_size)
             features = self.eye(seen.to(self.eye.grasp.device)).cpu()
             return torch.cat([features, last_actions], dim=1)
