@@ -34,7 +34,7 @@ _HELD_OUT_SUCCESSES, _HELD_OUT_SEED = 50, 1_000_004
 _EPISODES, _IMAGES, _IMAGE_STEPS, _SUCCESSES = 100, 1000, 6, 100
 _SETTLE = 2
 _TICKS = 200_000
-_PUCK_WIDTH = 0.117
+_PUCK_WIDTH, _PUCK_DEPTH = 0.117, 0.072
 """Of a frame of the front camera, which looks down at the table: it is the front view, and the tilted one."""
 
 PUSH_TEXT = "a blue object close to a yellow object"
@@ -48,6 +48,7 @@ _PUSH_REWARD: Mapping[str, Any] = MappingProxyType(
         "cameras": ["front"],
         "views": ["front", "", "front"],
         "object_widths": [_PUCK_WIDTH],
+        "object_depth": _PUCK_DEPTH,
     }
 )
 

@@ -168,6 +168,21 @@ def test_what_is_mostly_covered_is_not_taken_for_hidden(grounding: GradCamModel)
     assert (shown[1::3, 0, 0] == HIDDEN).mean() > 0.8
 
 
+def test_a_slanting_camera_shows_things_nearer_to_each_other_in_depth_than_they_are() -> None:
+    keypoints = np.array([[[0.5, 0.5], [0.5, 0.62]], [[0.5, 0.5], [0.62, 0.5]]])  # apart in depth, and across
+    frames = np.zeros((2, 64, 64, 3), np.uint8)
+
+    def close(**depth: float) -> list[bool]:
+        layout = view_layout(("front",), ("front", "", "front"), (0.1,), 1.0, **depth)
+        shown = np.full((2, 1, 2), SHOWN, np.int8)
+        seen = KeypointDataset((frames,), keypoints[:, None].astype(np.float32), shown, layout)
+        labels = seen.captions(phrase_tuples(2), tolerance=0.0)
+        return [bool(label(labels[i : i + 1], Claim.HOLDS, "close_to", (0, 1), 2) == TRUE) for i in range(2)]
+
+    assert close() == [True, True]
+    assert close(depth=0.06) == [False, True]
+
+
 def test_of_many_phrases_some_pairs_and_triples_are_scored_at_once_and_of_few_all() -> None:
     assert np.array_equal(sampled_tuples(4, np.random.default_rng(0)), phrase_tuples(4))
     some = sampled_tuples(16, np.random.default_rng(0))

@@ -16,6 +16,9 @@ class CriterionConfig(DatasetFitConfig):
         views: Cameras of the front, side and tilted view of table 4.1, empty ones for views that there are not; by
             default `cameras` in this order. One camera may be several views, where objects move in a plane.
         object_widths: Object width as a fraction of the frame's width, one for all views or one for each.
+        object_depth: Object width in depth, from front to back, as the tilted view shows it: a fraction of the frame's
+            width, less than `object_widths` where that camera looks down at a slant; 0 for as much. With it, things are
+            close to each other, and before or behind, by how far apart they lie, not by how far they seem to.
         container_width: Width of what contains other things, such as a tray, in object widths: a thing is inside of it
             where their centres are less than half of it apart.
         min_presence: Presence probability from which a phrase appears in captions; below 1 minus it, it is missing.
@@ -30,6 +33,7 @@ class CriterionConfig(DatasetFitConfig):
     phrases: tuple[str, ...] = ()
     views: tuple[str, ...] = ()
     object_widths: tuple[float, ...] = (0.1,)
+    object_depth: float = bounded(0.0, least=0.0, most=0.5)
     container_width: float = bounded(CONTAINER, least=0.5, most=10.0)
     min_presence: float = bounded(0.95, least=0.55, most=1.0)
     tolerance: float = bounded(0.1, least=0.0, most=1.0)

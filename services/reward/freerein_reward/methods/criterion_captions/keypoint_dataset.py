@@ -39,7 +39,8 @@ class ViewLayout:
 
     Attributes:
         cameras: The number of each view's camera; None for a view that there is not.
-        units: float64 (views, 2), object width as a fraction of the frame's width and height in each view.
+        units: float64 (views, 2), object width to the right and down in each view, as a fraction of the frame's width
+            and height.
         container_width: Of what contains other things, in object widths.
     """
 
@@ -138,6 +139,7 @@ def view_layout(
     widths: Sequence[float],
     aspect: float,
     *,
+    depth: float = 0.0,
     container_width: float = CONTAINER,
 ) -> ViewLayout:
     """Returns which camera is which view.
@@ -147,11 +149,14 @@ def view_layout(
         views: The camera of each view, `NO_CAMERA` for none.
         widths: Object width as a fraction of the frame's width, one for all views or one for each.
         aspect: Height of the frames over their width.
+        depth: Object width in depth as the tilted view shows it, as a fraction of the frame's width; 0 for its width.
         container_width: Of what contains other things, in object widths.
     """
     numbers = tuple(None if name == NO_CAMERA else cameras.index(name) for name in views)
     across = np.broadcast_to(np.asarray(widths, np.float64), len(View))
-    return ViewLayout(numbers, np.stack([across, across / aspect], axis=1), container_width)
+    down = across.copy()
+    down[View.TILTED] = depth or down[View.TILTED]
+    return ViewLayout(numbers, np.stack([across, down / aspect], axis=1), container_width)
 
 
 def locate_phrases(

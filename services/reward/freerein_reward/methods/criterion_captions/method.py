@@ -87,6 +87,7 @@ def _prepare(
         config.views,
         config.object_widths,
         height / width,
+        depth=config.object_depth,
         container_width=config.container_width,
     )
     spec = network_spec(model, config, layout)  # rejects what is out of bounds before captioning
