@@ -71,7 +71,7 @@ class ZsrmRunConfig:
         reward: Configuration of the reward model's fit. Its `method` is `criterion_captions` where the text is none of
             the five relations; by default one camera is then the front view, and that which the criterion is judged in.
         policy: Configuration of the training by PPO, but for `task`, `goal_text`, `reward` and `reward_model`. With
-            `criterion_captions`, its encoder is `spatial` by default; where one thing is to be close to another, and one
+            `criterion_captions`, its encoder is `spatial` by default; where one thing is to be close to another and one
             frame of one camera is seen, it is `goal_eye`, with `carry_weight=1` and `episode_steps=0`.
         seed: Seed of every random draw.
 
