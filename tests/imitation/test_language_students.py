@@ -135,7 +135,7 @@ def test_a_student_of_codes_sees_the_things_of_the_nearest_training_text_and_one
         codes = torch.from_numpy(np.stack(list(learner.training.codes.values())))
         with torch.no_grad():
             told_each = network(dict.fromkeys(frames, frames["front"].expand(len(codes), -1, -1, -1)), codes)
-        assert (len(told_each.unique(dim=0)) > 1) is sees_texts
+        assert bool((told_each - told_each[0]).abs().max() > 1e-4) is sees_texts  # rows of a batch may be rounded apart
 
 
 def test_the_dissertations_student_has_the_frame_beside_the_sentence_and_goes_on_to_the_same_bits(
