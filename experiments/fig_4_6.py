@@ -26,8 +26,8 @@ _TASKS = (PUSH, STACK, PLACE)
 _SEEDS = {LEARNED: 5, ORACLE: 5, RULE: 3, VICE: 3, BASE: 3, CURIOSITY: 1, CONSTANT: 3}
 """One where nothing is earned in the dissertation, and nothing is shaped by the goal here."""
 
-_PUSH_SEEDS = {BASE: 1, CURIOSITY: 3, CONSTANT: 0}
-"""Nothing is shaped there, and pucks may meet by chance."""
+_PUSH_SEEDS = {CURIOSITY: 3}
+"""Pucks may meet by chance."""
 
 
 def _seeds(task: str, reward: str) -> int:

@@ -11,7 +11,9 @@ from experiments.workbench.pipelines import run_once, run_pipeline
 from experiments.workbench.results import ArmResult, Outcome
 from experiments.workbench.table import Table
 
-_VERSION = 1
+_SHARED_VERSION = 1
+_VERSIONS = {trained_on.PUSH: 2}
+"""Versions of trainings by world, 1 where none is given; raised where their code learns otherwise."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class Trainings(Experiment):
     def config(self, arm: Arm) -> Config:
         """Returns the steps of the arm's pipeline, and of the one that makes what it begins with."""
         shared = trained_on.shared_steps(arm)
-        return {"version": _VERSION, **({"shared": shared} if shared else {}), "steps": trained_on.steps(arm)}
+        version = _VERSIONS.get(arm.world, 1)
+        return {"version": version, **({"shared": shared} if shared else {}), "steps": trained_on.steps(arm)}
 
     def prepare(self, arm: Arm, work: Path) -> bool:
         """Makes what the trainings of a seed begin with, or waits until another arm has made it."""
@@ -54,7 +57,7 @@ class Trainings(Experiment):
 
     def _shared(self, arm: Arm, work: Path) -> Path | None:
         """Returns the folder of the pipeline that makes what an arm begins with; None when it was stopped."""
-        return run_once(trained_on.shared_steps(arm), {"version": _VERSION}, work / "trainings", lambda: None)
+        return run_once(trained_on.shared_steps(arm), {"version": _SHARED_VERSION}, work / "trainings", lambda: None)
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns the table of the arms that have results."""

@@ -1,5 +1,6 @@
 """A policy's object encoder: it locates a body moved by random actions, what that carried, and the goal's objects."""
 
+import math
 import shutil
 from pathlib import Path
 
@@ -184,6 +185,9 @@ def test_of_what_is_pushed_an_encoder_tells_where_the_push_begins(folder: Path) 
     torch.testing.assert_close(features[0, 2:8], torch.tensor([0.0, 0.0, 0.0, -1.4, 0.0, -4.0]))
     assert encoder.nearness(features).item() == 6
     torch.testing.assert_close(encoder.offset(features), torch.tensor([[0.0, -4.0]]))
+    ahead = encoder.features(torch.tensor([[0.0, 0.14]]), keypoints, torch.ones(1, 2))
+    around = 2 * (1.4**2 - 1.2**2) ** 0.5 + 1.2 * (math.pi - 2 * math.acos(1.2 / 1.4))
+    assert encoder.nearness(ahead).item() == pytest.approx(6 - around, abs=1e-4)
     assert not encoder.sees_both(features)
 
 

@@ -122,7 +122,7 @@ def test_shaping_adds_to_the_return_of_an_episode_only_what_its_ends_are_worth()
     network = init_network(ActorCriticSpec(vector_size=2), generator)
     rollout, _ = collect(network, envs, CollectorState.init(envs, network, generator), num_steps=5)
 
-    shaping = Shaping(lambda observations: observations[..., 0], PPOConfig(gamma=0.9)).rewards(rollout)
+    shaping = Shaping(lambda observations: observations[..., 0], 0.9).rewards(rollout)
 
     returns = (shaping[:3] * 0.9 ** torch.arange(3)[:, None]).sum(dim=0)  # each episode ends after three timesteps
     first, last = rollout.observations[0, :, 0], torch.from_numpy(envs.final)[:, 0]
@@ -138,7 +138,7 @@ def test_what_shapes_stays_as_it_was_where_it_is_not_known() -> None:
     def never(observations: torch.Tensor) -> torch.Tensor:
         return torch.zeros(observations.shape[:-1], dtype=torch.bool)
 
-    shaping = Shaping(lambda observations: observations[..., 0], PPOConfig(gamma=0.9), never).rewards(rollout)
+    shaping = Shaping(lambda observations: observations[..., 0], 0.9, never).rewards(rollout)
 
     first, second = rollout.observations[0, :, 0], rollout.observations[3, :, 0]  # of two episodes
     torch.testing.assert_close(shaping[:2], -0.1 * first.expand(2, -1))

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from freerein.criteria import CRITERIA
 from freerein.criterion_text import stated_criterion
+from freerein.learning.actor_critic.ways import way_around
 from freerein.relations import CANONICAL_WORDINGS, CLOSE, SpatialRelation
 
 _REACH = 6.0
@@ -67,8 +68,5 @@ def nearness(offset: Tensor, place: tuple[float, float]) -> Tensor:
 
 def way_over(start: Tensor, end: Tensor) -> Tensor:
     """Returns the length of the shortest way from (..., 2) to (2,) that passes a disc at the origin over its top."""
-    far, near = start.norm(dim=-1).clamp(min=_RADIUS), end.norm().clamp(min=_RADIUS)
-    turn = (torch.atan2(start[..., 0], start[..., 1]) - torch.atan2(end[0], end[1])).abs()  # about the origin
-    arc = turn - torch.acos(_RADIUS / far) - torch.acos(_RADIUS / near)
-    around = (far**2 - _RADIUS**2).sqrt() + (near**2 - _RADIUS**2).sqrt() + _RADIUS * arc
-    return torch.where(arc > 0, around, (start - end).norm(dim=-1))
+    turn = (torch.atan2(start[..., 0], start[..., 1]) - torch.atan2(end[0], end[1])).abs()  # not below
+    return way_around(start, end, turn, radius=_RADIUS)

@@ -5,8 +5,10 @@ They tell how near the body is to the object that the goal moves, and how near t
     F(s, s') = gamma * Phi(s') - Phi(s)
 
 Added to another reward, it changes the returns of all policies from one start by the same, so what is best stays best.
-A hand that pushes hides things from the camera. While it does, Phi stays what it was: a potential of the history, which
-changes returns as little.
+It teaches nothing either once the value function has learned it and nothing else is rewarded: a hand that stands where
+a push begins would stay there. So a hand that pushes is rewarded by Phi(s') - Phi(s), as if its reward had a part
+(1 - gamma) * Phi(s'): nearness itself is worth a little. It also hides things from the camera; while it does, Phi stays
+what it was.
 """
 
 from collections.abc import Callable
@@ -18,7 +20,6 @@ from freerein.errors import InvalidInput
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein_orchestrator.rewards.carrying import nearness_of
 from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
-from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.rollout import RolloutBuffer
 
@@ -28,18 +29,18 @@ class Shaping(Reward):
 
     Args:
         potential: Phi of observations as the network takes them, (..., D) -> (...); that of a terminal state is 0.
-        config: Has the discount factor.
+        discount: The factor of Phi(s').
         is_known: Where it is known, (..., D) -> bool (...); None for everywhere.
     """
 
     def __init__(
         self,
         potential: Callable[[Tensor], Tensor],
-        config: PPOConfig,
+        discount: float,
         is_known: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
         self._potential = potential
-        self._config = config
+        self._discount = discount
         self._is_known = is_known
 
     def rewards(self, rollout: RolloutBuffer) -> Tensor:
@@ -47,7 +48,7 @@ class Shaping(Reward):
         before, after = self._potential(rollout.observations), self._potential(rollout.next_observations)
         if self._is_known:
             before, after = _kept(before, after, self._is_known(rollout.next_observations), rollout.episode_starts)
-        return self._config.gamma * after * ~rollout.terminated - before
+        return self._discount * after * ~rollout.terminated - before
 
 
 def _kept(before: Tensor, after: Tensor, is_known: Tensor, starts: Tensor) -> tuple[Tensor, Tensor]:
@@ -74,7 +75,9 @@ def _make(setting: RewardSetting, network: ActorCritic) -> Shaping:
             value = value + config.carry_weight * carried(encoder.offset(features))
         return value
 
-    return Shaping(potential, config, encoder.sees_both if encoder.pushes else None)
+    if encoder.pushes:
+        return Shaping(potential, 1.0, encoder.sees_both)
+    return Shaping(potential, config.gamma)
 
 
 SHAPING = RewardEntry(

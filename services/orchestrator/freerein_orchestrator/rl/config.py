@@ -60,8 +60,8 @@ class PPOConfig:
         layer_norm: Whether each hidden layer is normalised.
         init_log_std: Initial log standard deviation of continuous actions.
         final_log_std: The last iteration's, which falls to it linearly; None for one that is learned.
-        approach_weight: Weight of potential-based shaping by how near the body is to the goal's first object, in object
-            widths; unused without an object encoder.
+        approach_weight: Weight of potential-based shaping by how near the body is to the goal's first object, or to
+            where it would push that, in object widths; unused without an object encoder.
         carry_weight: The same by how near the goal's first object is to where the goal has it, along a way over the top
             of the second.
         explorations: Short sequences of random actions in each environment that an object encoder is fitted to; unused

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from freerein.config import bounded
 from freerein.learning.actor_critic import hand_eye
 from freerein.learning.actor_critic.body import BodyEncoder, Exploration, fit_body
+from freerein.learning.actor_critic.ways import angle_between, way_around
 from freerein.learning.encoders.clip import ClipImageEncoder, ClipImageSpec
 
 OBJECT_ENCODER = "goal_eye"
@@ -29,11 +30,11 @@ _LEAST_PRESENCE, _SEEN = 0.2, 0.5
 """Presence that a keypoint is divided by at least, and from which an object counts as seen."""
 
 _FRAMES_AT_ONCE = 16
-_REACH = {False: 4.0, True: 6.0}
-"""Distance in object widths from which what is carried, and what is pushed, is no nearer than any other."""
+_CARRIED_REACH, _PUSHED_REACH = 4.0, 6.0
+"""Length of the way, in object widths, from which what is carried, and where a push begins, is no nearer."""
 
-_BEHIND = 1.4
-"""Distance in object widths behind a pushed object where a push begins."""
+_BEHIND, _TOUCH = 1.4, 1.2
+"""Distances in object widths from a pushed object: behind it, where a push begins, and where the hand touches it."""
 
 
 @dataclass(frozen=True)
@@ -113,12 +114,18 @@ class ObjectEncoder(nn.Module):
     def nearness(self, features: Tensor) -> Tensor:
         """Returns the nearness of the grasp to the first object, or to where a push begins, (...), in object widths.
 
+        The way to where a push begins leads around the object, on the nearer side.
+
         Args:
             features: From `forward`, possibly with others behind them, (..., at least size).
         """
         offset = features[..., self._action_size : self._action_size + 2]
-        near: Tensor = (_REACH[self.pushes] - offset.norm(dim=-1)).clamp(min=0)
-        return near
+        if not self.pushes:
+            return (_CARRIED_REACH - offset.norm(dim=-1)).clamp(min=0)
+        from_first = features[..., self._action_size + 2 : self._action_size + 4]
+        behind = from_first - offset
+        way = way_around(from_first, behind, angle_between(from_first, behind), radius=_TOUCH)
+        return (_PUSHED_REACH - way).clamp(min=0)
 
     def sees_both(self, features: Tensor) -> Tensor:
         """Returns whether both objects are seen, bool (...); the offsets of what is not seen are arbitrary."""
