@@ -120,12 +120,14 @@ class ObjectEncoder(nn.Module):
             features: From `forward`, possibly with others behind them, (..., at least size).
         """
         offset = features[..., self._action_size : self._action_size + 2]
-        if not self.pushes:
-            return (_CARRIED_REACH - offset.norm(dim=-1)).clamp(min=0)
-        from_first = features[..., self._action_size + 2 : self._action_size + 4]
-        behind = from_first - offset
-        way = way_around(from_first, behind, angle_between(from_first, behind), radius=_TOUCH)
-        return (_PUSHED_REACH - way).clamp(min=0)
+        way, reach = offset.norm(dim=-1), _CARRIED_REACH
+        if self.pushes:
+            from_first = features[..., self._action_size + 2 : self._action_size + 4]
+            behind = from_first - offset
+            way = way_around(from_first, behind, angle_between(from_first, behind), radius=_TOUCH)
+            reach = _PUSHED_REACH
+        near: Tensor = (reach - way).clamp(min=0)
+        return near
 
     def sees_both(self, features: Tensor) -> Tensor:
         """Returns whether both objects are seen, bool (...); the offsets of what is not seen are arbitrary."""
