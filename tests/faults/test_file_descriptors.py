@@ -25,10 +25,11 @@ def faulty(start_faulty: Callable[..., Any]) -> Any:
 
 @contextlib.contextmanager
 def free_descriptors(faulty: Any, count: int) -> Iterator[None]:
-    """Leaves a process so many descriptors beyond those that it holds."""
+    """Leaves a process about so many descriptors beyond those that it holds; 0 leaves none."""
     pid = faulty.process.pid
+    held = faulty.process.num_fds()  # some may be given back in a moment, hence half of them where none is to be left
     before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
-    resource.prlimit(pid, resource.RLIMIT_NOFILE, (faulty.process.num_fds() + count, before[1]))
+    resource.prlimit(pid, resource.RLIMIT_NOFILE, (held + count if count else held // 2, before[1]))
     try:
         yield
     finally:

@@ -104,9 +104,9 @@ def test_a_child_at_a_standstill_is_ended_and_tried_again_only_where_it_had_prog
     store, monkeypatch, wait_at, outcome
 ):
     run_id = store.create(START, {"config": {"steps": 3, "wait_at": wait_at, "killed": int(not wait_at)}})
-    attempt = toy_runner(store, monkeypatch, standstill_s=1.0).run(run_id, go_on)
+    attempt = toy_runner(store, monkeypatch, standstill_s=4.0).run(run_id, go_on)
     assert (attempt.outcome, attempt.progressed) == (outcome, wait_at > 0)
-    assert "did nothing for 1 s" in attempt.error
+    assert "did nothing for 4 s" in attempt.error
     assert not psutil.pid_exists(int((store.folder(run_id) / "pids.txt").read_text()))
 
 
