@@ -45,7 +45,7 @@ class ConvolutionalEncoder(nn.Module):
     def forward(self, frames: Tensor) -> Tensor:
         """Returns non-negative features, float32 (N, features), of frames uint8 (N, H, W, C)."""
         is_graph = torch.compiler.is_exporting()  # which cannot loop over frames
-        parts = (frames,) if is_graph else frames.split(_FRAMES_AT_ONCE)
+        parts = (frames,) if is_graph else torch.split(frames, _FRAMES_AT_ONCE)
         return torch.cat([self._encode(part) for part in parts])
 
     def _encode(self, frames: Tensor) -> Tensor:
