@@ -218,8 +218,9 @@ def test_a_reward_model_without_keypoints_of_its_own_is_no_encoder_of_objects(fo
     weights = tensor_files.parse((copied / MODEL.weights).read_bytes())
     of_criteria = {name: each for name, each in weights.items() if not name.startswith("image.pool.")}
     (copied / MODEL.weights).write_bytes(tensor_files.dump(of_criteria))
-    with pytest.raises(InvalidInput, match="locates its phrases"):
-        load_reward_encoder(copied, goal_caption=CAPTION, camera=CAMERA)
+    with pytest.raises(InvalidInput, match="locates its phrases") as refused:
+        load_reward_encoder(copied, goal_caption=CAPTION, camera=CAMERA, field="config.eye_model")
+    assert refused.value.field == "config.eye_model"
 
 
 def test_a_fit_of_the_body_is_interrupted() -> None:

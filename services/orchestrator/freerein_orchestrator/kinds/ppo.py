@@ -232,10 +232,11 @@ class _Training:
 
     def _reward_encoder(self, goal_text: str, camera: Camera) -> tuple[ModelRef, RewardEncoder]:
         """Returns the reward model whose image encoder the policy's object encoder has, and that encoder."""
-        name = self._config.eye_model or (self._config.reward_model if self._entry.encodes_objects else "")
+        config, field = self._config, f"config.{'eye_model' if self._config.eye_model else 'reward_model'}"
+        name = config.eye_model or (config.reward_model if self._entry.encodes_objects else "")
         answer = LearnedReward(self._context.client("reward"), goal_text, ModelRef(name)).resolve((camera,))
         folder = self._context.reward_models.folder(answer.model)
-        return answer.model, load_reward_encoder(folder, goal_caption=answer.texts[0], camera=camera)
+        return answer.model, load_reward_encoder(folder, goal_caption=answer.texts[0], camera=camera, field=field)
 
     def _prepare(self, encoder: RewardEncoder | None) -> Prepare:
         if encoder is None:

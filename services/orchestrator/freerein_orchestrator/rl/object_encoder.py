@@ -46,13 +46,16 @@ class RewardEncoder:
     weights: Mapping[str, Tensor]
 
 
-def load_reward_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> RewardEncoder:
+def load_reward_encoder(
+    folder: Path, *, goal_caption: str, camera: Camera, field: str = "config.reward_model"
+) -> RewardEncoder:
     """Returns the image encoder of a reward model.
 
     Args:
         folder: The model's; read as untrusted.
         goal_caption: The goal text as the model reads it: two of its noun phrases and a relation.
         camera: The camera of the frames, and their size.
+        field: Of the configuration that names the model.
 
     Raises:
         InvalidInput: The model is of another camera or frame size, or names no two objects; a file is malformed.
@@ -67,13 +70,14 @@ def load_reward_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> R
     except (KeyError, TypeError) as error:
         raise InvalidInput(
             f"An object encoder is of a reward model, whose card has the sizes; reading them failed: {error!r}.",
+            field=field,
             hint=_HINT,
         ) from error
     if seen != ([camera.name], camera.height) or camera.height != camera.width:
         raise InvalidInput(
             f"The reward model must see {camera.name} at {camera.height} x {camera.width}, and a square; this one sees "
             f"{', '.join(seen[0])} at {seen[1]} x {seen[1]}.",
-            field="config.reward_model",
+            field=field,
             hint=_HINT,
         )
     first, second = _pair(phrases, goal_caption)
@@ -81,11 +85,11 @@ def load_reward_encoder(folder: Path, *, goal_caption: str, camera: Camera) -> R
     tensors = tensor_files.parse((folder / model_files.MODEL.weights).read_bytes())
     weights = {name.removeprefix(_PREFIX): each for name, each in tensors.items() if name.startswith(_PREFIX)}
     if embedded.exists():
-        weights |= _heat_of(tensors, tensor_files.parse(embedded.read_bytes()))
+        weights |= _heat_of(tensors, tensor_files.parse(embedded.read_bytes()), field=field)
     if _HEAT not in weights:
         raise InvalidInput(
             f"An object encoder is of a model that locates its phrases; this one lacks the weights `{_HEAT}`.",
-            field="config.reward_model",
+            field=field,
             hint="Fit the reward model again, choose another one, or the encoder `spatial`.",
         )
     criterion, _ = stated_criterion(goal_caption) or (None, ())
@@ -146,12 +150,13 @@ def explore(spec: ActorCriticSpec, envs: VecEnv, generator: torch.Generator, *, 
     return Exploration(torch.cat(sequences), torch.cat(moves))
 
 
-def _heat_of(tensors: Mapping[str, Tensor], embedded: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def _heat_of(tensors: Mapping[str, Tensor], embedded: Mapping[str, Tensor], *, field: str) -> dict[str, Tensor]:
     """Returns the weights of `PeakPool` of a model of criteria, which compares phrases with cells.
 
     Args:
         tensors: The model's.
         embedded: The embeddings of its phrases.
+        field: Of the configuration that names it.
 
     Raises:
         InvalidInput: A file lacks one.
@@ -165,7 +170,7 @@ def _heat_of(tensors: Mapping[str, Tensor], embedded: Mapping[str, Tensor]) -> d
     except (KeyError, RuntimeError) as error:
         raise InvalidInput(
             f"A model of criteria has the weights of its locator, and embeddings of its phrases; got {error!r}.",
-            field="config.reward_model",
+            field=field,
             hint=_HINT,
         ) from error
 
