@@ -176,9 +176,9 @@ def test_the_model_of_a_run_counts_once_the_run_has_succeeded_and_that_of_a_step
     chosen.check()
 
     step = evaluation(RANDOM | {"policy": {"run": "step"}})
-    for kind in ("ppo", "fit", "distill"):
+    for kind in ("ppo", "fit of imitation", "distill"):
         step.check(step=kind)
-    with pytest.raises(InvalidInput, match="must be of the kind ppo or fit or distill; step is of the kind label"):
+    with pytest.raises(InvalidInput, match="ppo or fit of imitation or distill; step is of the kind label"):
         step.check(step="label")
 
 

@@ -157,6 +157,9 @@ def test_a_step_that_builds_on_an_earlier_one_is_taken_and_one_that_builds_on_a_
         with pytest.raises(InvalidInput, match=r"In step (fitted|pupil): .* earlier step") as error:
             run.check()
         assert error.value.field.startswith("config.steps")
+    reward = FIT | {"config": {"service": "reward", "dataset": "play", "config": {"method": "relation_captions"}}}
+    with pytest.raises(InvalidInput, match="fit is of the kind fit of reward"):
+        new_run(tmp_path, "pipeline", {"steps": [COLLECT, reward, FITTED]}).check()
 
 
 @pytest.mark.parametrize(

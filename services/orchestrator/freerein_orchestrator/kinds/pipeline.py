@@ -26,6 +26,7 @@ from freerein.errors import InvalidInput, ServiceError, must_be, quoted
 from freerein.types.common import check_name
 from freerein.types.sim import ListTasksRequest
 from freerein_orchestrator.kinds.context import RunContext
+from freerein_orchestrator.kinds.fit import FitRunConfig
 from freerein_orchestrator.kinds.kind import Kind
 from freerein_orchestrator.kinds.metrics_logger import last_step
 from freerein_orchestrator.kinds.policy_store import PolicyStore
@@ -107,7 +108,7 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
         for step in pipeline.steps:
             with _step_errors(step.name):
                 kinds[step.kind].check(step.config, store, earlier)
-            earlier[step.name] = step.kind
+            earlier[step.name] = _kind_of(step)
 
     def truth(config: Mapping[str, Any], store: PolicyStore) -> str:
         truths = [kinds[step["kind"]].truth(step["config"], store) for step in config["steps"] if step["kind"] in kinds]
@@ -116,6 +117,11 @@ def pipeline_kind(kinds: Mapping[Any, Kind[Any]]) -> Kind[Pipeline]:
     meaning = "Does runs of other kinds in order, as steps of one run."
     run = partial(_run, kinds)
     return Kind({"": PipelineConfig}, parse_pipeline, steps, run, check, dump, truth, meaning=meaning)
+
+
+def _kind_of(step: Step) -> str:
+    """Returns the kind of a step; of a fit, with the service that has its model."""
+    return f"{step.kind} of {step.config.service}" if isinstance(step.config, FitRunConfig) else step.kind
 
 
 def _parse_step(kinds: Mapping[Any, Kind[Any]], step: StepConfig) -> Step:

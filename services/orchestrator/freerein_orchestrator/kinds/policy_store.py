@@ -142,7 +142,7 @@ def is_step(name: str, earlier: Mapping[str, str], kinds: Collection[str] = ("pp
 
     Args:
         name: The name.
-        earlier: The kind of each earlier step, by name.
+        earlier: The kind of each earlier step, by name; of a fit, with the service that has its model.
         kinds: Kinds of steps that make what is needed.
         field: The configuration's field that holds the name.
 

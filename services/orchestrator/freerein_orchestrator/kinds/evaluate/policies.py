@@ -22,8 +22,8 @@ from freerein_orchestrator.kinds.policy_store import PolicyStore, has_succeeded,
 
 _FIELD = "config.policy"
 _RUN_FIELD = "config.policy.run"
-_MAKERS = ("ppo", "fit", "distill")
-"""Kinds of runs that make a policy or a model of the imitation service."""
+_MAKERS = ("ppo", "fit of imitation", "distill")
+"""Kinds of steps that make a policy, or a model that acts."""
 
 
 @dataclass(frozen=True)
