@@ -25,7 +25,7 @@ from experiments.workbench.arms import Arm
 _TASKS = (PUSH, STACK, PLACE)
 _SEEDS = {LEARNED: 5, ORACLE: 5, RULE: 3, VICE: 3, BASE: 3, CURIOSITY: 1, CONSTANT: 3}
 _FEWER = {(STACK, VICE): 1, (STACK, BASE): 2}
-"""Where nothing is earned; so it is by curiosity in the dissertation, and by its first seed here."""
+"""Where nothing is earned, as by curiosity."""
 
 
 def _seeds(task: str, reward: str) -> int:
