@@ -49,4 +49,6 @@ def test_a_service_at_another_address_of_its_name_is_found_again(
 
 @pytest.mark.fault("R6")
 def test_a_shipped_model_answers_without_a_network(fork_program: Callable[..., Any], tmp_path: Path) -> None:
-    assert fork_program("tests.faults.offline_reward", tmp_path).stdout.readline() in ("reward 0.0\n", "reward 1.0\n")
+    program = fork_program("tests.faults.offline_reward", tmp_path)
+    assert program.stdout.readline() in ("reward 0.0\n", "reward 1.0\n")
+    assert program.process.wait(60) == 0  # once its service has ended
