@@ -52,6 +52,9 @@ _TASK, _TRAJECTORIES = "doom", 800
 _EVERY, _STEPS_PER_LANDMARK = 10, 50
 """Actions from one image to the next, and those after which an image is abandoned: five times as many, as a trial."""
 
+_TRIALS = {"episodes": 250, "num_envs": 50}
+"""In rounds of ten starts of each path: two thirds of the time that rounds of ten trials take."""
+
 _FIXED_ROOM = {"conditions": ["start-room-10"]}
 _DATA: Mapping[str, Sequence[Mapping[str, Any]]] = {
     "curiosity": (
@@ -75,7 +78,7 @@ _CURIOSITY = {
 
 
 def _setting(task: str) -> Setting:
-    followed = {"task": task, "every": _EVERY, "steps_per_landmark": _STEPS_PER_LANDMARK, "episodes": 250}
+    followed = {"task": task, "every": _EVERY, "steps_per_landmark": _STEPS_PER_LANDMARK, **_TRIALS}
     evaluation = {**followed, "demonstration_conditions": ["heading-along-path"]}
     return Setting((evaluation,), demonstrations=5, choice=Choice("v1", "completion", "median"))
 

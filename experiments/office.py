@@ -32,20 +32,20 @@ _LR = {RECOGNIZER: 2e-3, "inverse_model": 2e-3, "gsp_no_consistency": 2e-3}
 _FLOORS = ({"policy": "random", "task": "office"}, {"policy": "random", "task": "office.2"})
 _GOALS = [f"goal-{number}" for number in range(1, 11)]
 _PATHS = ("maze", "loop")
-_EPISODES = 100
+_TRIALS = {"episodes": 100, "num_envs": 50}
 
 
 def _goals(floor: str) -> Setting:
     """Single goals: the last image of a demonstration, for about 200 actions, until the policy says it is there."""
     followed = {"task": floor, "paths": _GOALS, "every": 1000, "steps_per_landmark": 10_000, "length_factor": 8}
     chosen = Choice("goals_3", "stopped.goal")
-    return Setting(({**followed, "episodes": _EPISODES},), demonstrations=len(_GOALS), choice=chosen)
+    return Setting(({**followed, **_TRIALS},), demonstrations=len(_GOALS), choice=chosen)
 
 
 def _path(floor: str, path: str, **more: Any) -> Setting:
     followed = {"task": floor, "paths": [path], "every": 5, "demonstration_conditions": ["heading-along-path"]}
     chosen = Choice(f"{path}_3", "completion")
-    return Setting(({**followed, "episodes": _EPISODES, **more},), demonstrations=1, choice=chosen)
+    return Setting(({**followed, **_TRIALS, **more},), demonstrations=1, choice=chosen)
 
 
 def _sift(floor: str, suffix: str = "") -> dict[str, Setting]:

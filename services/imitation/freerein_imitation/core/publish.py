@@ -1,12 +1,12 @@
 """`PublishService`: policies of finished ppo runs become models that are served by name."""
 
 import asyncio
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from freerein.config import parse
+from freerein.data.folder_locks import temporary_folder
 from freerein.errors import FailedPrecondition, InvalidInput, NotFound, quoted
 from freerein.learning.actor_critic import policy_files
 from freerein.learning.model_files import save_model
@@ -45,9 +45,8 @@ class PublishService:
         return PublishPolicyResponse(await self._publish(artifacts, request))
 
     async def _publish(self, artifacts: Path, request: PublishPolicyRequest) -> ModelRef:
-        self._data_dir.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".published-", dir=self._data_dir) as staging:
-            folder = Path(staging) / "model"
+        with temporary_folder(self._data_dir, prefix=".published-") as staging:
+            folder = staging / "model"
             task = await asyncio.to_thread(convert, artifacts, folder, data=f"ppo run {request.run}")
             return await self._models.publish(check_name(request.model_name or task, field="model_name"), folder)
 
