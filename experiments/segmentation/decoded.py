@@ -12,11 +12,8 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from experiments.segmentation.evaluation import DECODED_ACCURACY, FRAME_ACCURACY
-from experiments.segmentation.guesses import TRUTH
-from experiments.segmentation.methods import CHOSEN, RECIPE
+from experiments.segmentation.evaluation import FRAME_ACCURACY
 from experiments.segmentation.packed import PACKED, PACKED_DECODED, unpack
-from experiments.segmentation.rows import LEAST_GAP, PER_CENT, PUBLISHED, Row, Rows
 from experiments.workbench import claims
 from experiments.workbench.results import ArmResult, Sample
 from freerein import metrics
@@ -41,11 +38,10 @@ class Decoded:
     truth: Sequence[Labels]
 
     @classmethod
-    def of(cls, rows: Rows, row: Row) -> "Decoded | None":
-        """Returns the labels of a row; None where its results, or those of the truth, are missing."""
-        known, arms = rows.arms.get(Row(TRUTH)), rows.arms.get(row, ())
+    def of(cls, arms: Sequence[ArmResult], truth: ArmResult) -> "Decoded | None":
+        """Returns the labels of a row's arms, given that of the truth; None where none of them has any."""
         networks = [_unpacked(arm, PACKED_DECODED) for arm in arms if f"test.{PACKED_DECODED}" in arm.shown]
-        return cls(networks, _unpacked(known[0], PACKED)) if known and networks else None
+        return cls(networks, _unpacked(truth, PACKED)) if networks else None
 
     def samples(self, change: Callable[[Labels], Labels] = lambda labels: labels) -> list[Sample]:
         """Returns the frame accuracy of each network's labels, changed."""
@@ -63,41 +59,12 @@ class Decoded:
 
     def best_delay(self) -> int:
         """Returns how many timesteps earlier labels are most accurate: by true labels, for the development world."""
-        values = [claims.mean(self.samples(partial(moved, timesteps=timesteps))) for timesteps in range(_MOST + 1)]
+        values = [claims.mean(self.moved_samples(timesteps)) for timesteps in range(_MOST + 1)]
         return int(np.argmax(values))
 
-    def value(self, change: Callable[[Labels], Labels]) -> float:
-        """Returns the accuracy of changed labels in per cent, as a mean over networks."""
-        return PER_CENT * claims.mean(self.samples(change))
-
-
-def delays(development: Rows) -> dict[Row, int]:
-    """Returns by how many timesteps decoded labels come late, by row of the development world; the recipe is one."""
-    found = {row: Decoded.of(development, row) for row in development.arms if row.context}
-    late = {row: labels.best_delay() for row, labels in found.items() if labels is not None}
-    return late | {Row(RECIPE, row.context): by for row, by in late.items() if row.method == CHOSEN}
-
-
-def moved_samples(rows: Rows, row: Row) -> list[Sample]:
-    """Returns the frame accuracy of a row's decoded labels, moved by its delay, by network; empty where it has none."""
-    labels = Decoded.of(rows, row) if row in rows.delays else None
-    return [] if labels is None else labels.samples(partial(moved, timesteps=rows.delays[row]))
-
-
-def moved_gap(rows: Rows, row: Row) -> float | None:
-    """Returns the share of the gap from the best published objective to full supervision, all decoded and moved.
-
-    The labels of full supervision are where they are. None where a row is missing, or there is no gap.
-    """
-    if not (samples := moved_samples(rows, row)):
-        return None
-    published = [moved_samples(rows, each) for each in rows.arms if each.method in PUBLISHED]
-    return claims.gap_closed(
-        PER_CENT * claims.mean(samples),
-        baseline=max((PER_CENT * claims.mean(each) for each in published if each), default=None),
-        ceiling=rows.ceiling(row, f"test.{DECODED_ACCURACY}"),
-        least_gap=LEAST_GAP,
-    )
+    def moved_samples(self, timesteps: int) -> list[Sample]:
+        """Returns the frame accuracy of each network's labels, so many timesteps earlier."""
+        return self.samples(partial(moved, timesteps=timesteps))
 
 
 def _unpacked(arm: ArmResult, name: str) -> list[Labels]:

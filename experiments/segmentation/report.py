@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from experiments.segmentation.dataset import SPLITS, SplitName
-from experiments.segmentation.decoded import Decoded, delays, moved_samples
 from experiments.segmentation.evaluation import ACTION_LOSS, DECODED_ACCURACY, FRAME_ACCURACY
 from experiments.segmentation.guesses import TRUTH, in_equal_parts
 from experiments.segmentation.rows import LEAST_GAP, PER_CENT, Row, Rows
@@ -80,7 +79,7 @@ def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]
 
     A world's scale is `full` when a network sees at least the dissertation's number of training trajectories.
     """
-    late = delays(Rows.of(results, DEVELOPMENT))
+    late = Rows.of(results, DEVELOPMENT).best_delays()
     by_world = {study.world: (study, Rows.of(results, study.world, delays=late)) for study in studies}
     sections, made, plotted = [], [], []
     targets = [target for target in report.targets if by_world[target.world][1].chosen(target.rows)]
@@ -104,7 +103,7 @@ def table(report: Report, studies: Sequence[Study], results: Sequence[ArmResult]
             cells_of_rows = tuple(_row_cells(rows, row, of_rows[row]) for row in shown)
             sections.append(Section(_ROW_HEADER, cells_of_rows, title=f"{study.world}: {_scale_text(report, study)}"))
             made += [claim for each in of_rows.values() for claim in each]
-            made += [_moved_claim(report, study, rows, row) for row in shown if moved_samples(rows, row)]
+            made += [_moved_claim(report, study, rows, row) for row in shown if row in rows.moved]
             plotted += [each[-1] for each in of_rows.values()]
     draw = partial(interval_plot, plotted, title=report.title, unit="frame accuracy on test trajectories, per cent")
     return Table(
@@ -175,7 +174,7 @@ def _row_claim(report: Report, study: Study, rows: Rows, row: Row, split: SplitN
 
 def _moved_claim(report: Report, study: Study, rows: Rows, row: Row) -> Claim:
     name = ".".join([report.experiment, study.world, *row, "moved"])
-    arms, samples = rows.arms[row], moved_samples(rows, row)
+    arms, samples = rows.arms[row], rows.moved[row]
     scale, command = _scale(report, study), _command(report, arms)
     return claims.claim_of(name, arms, samples, unit=PER_CENT, seeds=len(samples), scale=scale, command=command)
 
@@ -198,13 +197,13 @@ def _target_cells(target: Target, claim: Claim, rows: Rows) -> tuple[str, ...]:
 
 def _decoded_cells(rows: Rows, row: Row) -> tuple[str, ...]:
     """Returns how late skills begin, and accuracies of decoded labels that are moved, or of their order alone."""
-    decoded, samples = Decoded.of(rows, row), moved_samples(rows, row)
-    if decoded is None:
+    if row not in rows.decoded:
         return "", "", ""
+    decoded, samples = rows.decoded[row], rows.moved.get(row)
     error = decoded.boundary_error()
     late = "" if error is None else f"{error[0]:+.1f} ± {error[1]:.1f}"
     moved_cell = f"{PER_CENT * claims.mean(samples):.2f} (by {rows.delays[row]})" if samples else ""
-    return late, moved_cell, f"{decoded.value(in_equal_parts):.2f}"
+    return late, moved_cell, f"{PER_CENT * claims.mean(decoded.samples(in_equal_parts)):.2f}"
 
 
 def _row_cells(rows: Rows, row: Row, made: Sequence[Claim]) -> tuple[str, ...]:

@@ -3,12 +3,16 @@
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from experiments.segmentation.evaluation import ACTION_LOSS, GUESSED_TAG_LOSS, IS_DECIDED, TAG_LOSS
+from experiments.segmentation.decoded import Decoded
+from experiments.segmentation.evaluation import ACTION_LOSS, DECODED_ACCURACY, GUESSED_TAG_LOSS, IS_DECIDED, TAG_LOSS
+from experiments.segmentation.guesses import TRUTH
+from experiments.segmentation.methods import CHOSEN, RECIPE
 from experiments.segmentation.study import SUPERVISED
 from experiments.workbench import claims
 from experiments.workbench.results import ArmResult, Sample
@@ -68,6 +72,24 @@ class Rows:
             if result.world == world:
                 rows.setdefault(Row(result.method, result.options.get("context", "")), []).append(result)
         return cls(rows, delays or {})
+
+    @cached_property
+    def decoded(self) -> Mapping[Row, Decoded]:
+        """The decoded labels of networks beside the true ones; without rows that have none."""
+        truth = self.arms.get(Row(TRUTH))
+        found = {row: Decoded.of(arms, truth[0]) for row, arms in self.arms.items()} if truth else {}
+        return {row: labels for row, labels in found.items() if labels is not None}
+
+    @cached_property
+    def moved(self) -> Mapping[Row, list[Sample]]:
+        """The frame accuracy of decoded labels that are moved by the row's delay, by network; without other rows."""
+        found = {row: labels for row, labels in self.decoded.items() if row in self.delays}
+        return {row: labels.moved_samples(self.delays[row]) for row, labels in found.items()}
+
+    def best_delays(self) -> dict[Row, int]:
+        """Returns by how many timesteps decoded labels come late, by true ones; what the recipe chose is the recipe."""
+        late = {row: labels.best_delay() for row, labels in self.decoded.items() if row.context}
+        return late | {Row(RECIPE, row.context): by for row, by in late.items() if row.method == CHOSEN}
 
     def chosen(self, candidates: Iterable[Row]) -> Row | None:
         """Returns the row that is chosen without true labels, by the first seed, from those that are decided.
@@ -137,6 +159,21 @@ class Rows:
             for figure in figures
             for baseline in (self.baseline(row, figure), self.best_baseline(figure))
         ]
+
+    def moved_gap(self, row: Row) -> float | None:
+        """Returns the share of the gap from the best published objective to full supervision, all decoded and moved.
+
+        The labels of full supervision are where they are. None where a row is missing, or there is no gap.
+        """
+        if row not in self.moved:
+            return None
+        published = [PER_CENT * claims.mean(self.moved[each]) for each in self.moved if each.method in PUBLISHED]
+        return claims.gap_closed(
+            PER_CENT * claims.mean(self.moved[row]),
+            baseline=max(published, default=None),
+            ceiling=self.ceiling(row, f"test.{DECODED_ACCURACY}"),
+            least_gap=LEAST_GAP,
+        )
 
     def is_trained(self, row: Row) -> bool:
         """Returns whether the row's networks learned more of the tags than constant scores have."""

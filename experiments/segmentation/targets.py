@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from experiments.segmentation.decoded import moved_gap
 from experiments.segmentation.evaluation import DECODED_ACCURACY, FRAME_ACCURACY
 from experiments.segmentation.rows import BASELINE, Row, Rows
 
@@ -105,8 +104,8 @@ class Target:
             yield f"the dissertation's method has {baseline:.2f} here, more than 5 points under {above:g}"
 
     def gaps(self, rows: Rows) -> list[float | None]:
-        """Returns the five shares of the gap, of which the least counts; see `Rows.gaps` and `moved_gap`."""
-        return [*rows.gaps(self.row(rows), (self.figure, DECODED_TEST_ACCURACY)), moved_gap(rows, self.row(rows))]
+        """Returns the five shares of the gap, of which the least counts; see `Rows.gaps` and `Rows.moved_gap`."""
+        return [*rows.gaps(self.row(rows), (self.figure, DECODED_TEST_ACCURACY)), rows.moved_gap(self.row(rows))]
 
     def _missing_of_gap(self, rows: Rows, least: float) -> Iterator[str]:
         gaps = self.gaps(rows)
