@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from experiments import doom, office
-from experiments.chapter3.exploration import CHOICE, RECOGNIZER, TEST, Choice, Exploration, Setting
+from experiments.chapter3.exploration import CHOICE, FOLLOWED, RECOGNIZER, TEST, Choice, Exploration, Setting
 from experiments.chapter3.followed_report import Gain, Measured, Report
 from experiments.chapter3.followers import Followers
 from experiments.workbench.pipelines import step
@@ -60,7 +60,7 @@ def _knots(seeds: Iterable[int], starts: int) -> Setting:
 
 EXPLORATION = Exploration(
     world=_TASK,
-    version=2,
+    version=3,
     collects=(step(_DATA, "collect", dataset=_DATA, task=_TASK, behaviour="random", count=_TRAJECTORIES),),
     timesteps=60_000,
     recognizer={**_STEPS, "close_steps": 1, "far_steps": 5},
@@ -76,7 +76,7 @@ EXPLORATION = Exploration(
         },
         TEST: {"knot": _knots(range(20), 1_000_003), "s": _shapes("s-shape", range(10), _S_SHAPE, 2_000_003)},
     },
-    figures=("success", "tps-rpm", "completion"),
+    figures=("success", "tps-rpm", "completion", "recognized", "ended", *FOLLOWED),
     switching="steps",
     truth={"steps_per_landmark": 4, "length_factor": 5},
     counts_knots=True,

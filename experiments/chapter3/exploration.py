@@ -23,6 +23,9 @@ CEILINGS = (EXPERT, TRUE_SWITCHING)
 CHOICE, TEST = "choice", "test"
 """Kinds of settings: those that choose between greedy and sampled actions, and those of claims."""
 
+FOLLOWED = ("steps", "farthest_at", "failed.flag", "failed.blocked", "failed.lost")
+"""Figures of how a trial went: its actions, those up to the farthest landmark, and why the next one was not reached."""
+
 RECOGNIZER, POLICY = "recognizer", "policy"
 DATA_OPTION, SETTINGS_OPTION, FIT_OPTION, RATE_OPTION = "data", "settings", "fit", "rate"
 

@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from experiments.workbench.pipelines import Step, run_folder
 from experiments.workbench.results import ArmResult
 from experiments.workbench.table import Section
 from freerein.data import Dataset, dataset_path
+from freerein.learning.checkpoints import JSON
 from freerein.learning.model_files import read_card
 from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
@@ -37,8 +39,13 @@ HALFWAY = "validation_loss_halfway"
 CONSTANT = "constant_loss"
 """The loss of the best constant guess: of actions by how often each occurs, of pairs that all are as likely close."""
 
+THRESHOLD = "reached_threshold"
+"""The recognizer's probability from which a goal counts as reached."""
+
 _NAMED = (LOSS, STEP, "action_loss")
 _LEAST_SHARE = 1e-12
+_SHORT = 8
+"""Characters of what is shown of a fingerprint."""
 
 
 def figures(made: Path, fit: Step) -> Iterator[tuple[str, float]]:
@@ -48,15 +55,20 @@ def figures(made: Path, fit: Step) -> Iterator[tuple[str, float]]:
         made: Folder of the pipeline, which keeps its datasets.
         fit: The step.
     """
-    name, config = fit["name"], fit["config"]
-    store = ModelStore(made / "data" / "models" / config["service"])
-    card = read_card(store.folder(ModelRef(name, store.active_version(name))))
+    name, config, card = fit["name"], fit["config"], _card(made, fit)
     yield from ((f"{name}.{figure}", card["figures"][figure]) for figure in _NAMED if figure in card["figures"])
     early = [loss for step, loss in _validated(made, fit) if 2 * step <= config["config"]["steps"]]
     if early:
         yield f"{name}.{HALFWAY}", min(early)
+    if name == RECOGNIZER:
+        yield f"{name}.{THRESHOLD}", card["control"][THRESHOLD]
     if not config["config"].get("stop"):  # whose held-out loss is of stopping, too
         yield f"{name}.{CONSTANT}", math.log(2) if name == RECOGNIZER else _constant_loss(made, config)
+
+
+def made_of(made: Path, fit: Step) -> dict[str, JSON]:
+    """Returns the version of the model that a step of a pipeline made, and the fingerprint of its data."""
+    return {fit["name"]: _version(made, fit), "data": _card(made, fit)["data"]["fingerprint"]}
 
 
 def best_rate(results: Sequence[ArmResult], fit: str) -> float:
@@ -81,7 +93,10 @@ def sections(exploration: Exploration, results: Sequence[ArmResult]) -> Iterator
     if tried:
         yield Section(("fit", "chosen", *rates), tuple(tried), "Held-out loss after 1 000 updates, by learning rate")
     if fitted := tuple(_fitted(results)):
-        header = ("row", "data", "seed", "model", "held-out loss", "halfway", "constant guess", "best update")
+        header = (
+            *("row", "data", "seed", "model", "held-out loss", "halfway", "constant guess", "best update"),
+            *("threshold", "version", "fingerprint of the data"),
+        )
         yield Section(header, fitted, "Fits")
 
 
@@ -92,7 +107,7 @@ def _fitted(results: Sequence[ArmResult]) -> Iterator[tuple[str, ...]]:
         for model in (POLICY, RECOGNIZER) if each.method not in (PILOT, TRUE_SWITCHING) else ():
             if f"{model}.{LOSS}" in each.figures:
                 row = (each.method, each.options[DATA_OPTION], str(each.seed)) if model == POLICY else ("all", "", "")
-                cells[(*row, model)] = _cells(model, each.figures)
+                cells[(*row, model)] = *_cells(model, each.figures), *_made_by(model, each)
     yield from ((*named, *cells[named]) for named in sorted(cells, key=lambda key: key[0] != "all"))
 
 
@@ -101,12 +116,27 @@ def _cells(model: str, found: Mapping[str, float]) -> tuple[str, ...]:
     return *("" if each is None else f"{each:.4f}" for each in known), f"{found[f'{model}.{STEP}']:.0f}"
 
 
+def _made_by(model: str, result: ArmResult) -> tuple[str, ...]:
+    threshold = result.figures.get(f"{model}.{THRESHOLD}")
+    named = [str(result.shown.get(name, ""))[:_SHORT] for name in (model, "data")]
+    return "" if threshold is None else f"{threshold:.3f}", *named
+
+
 def _pilots(results: Sequence[ArmResult], fit: str) -> list[ArmResult]:
     return [each for each in results if each.method == PILOT and each.options[FIT_OPTION] == fit]
 
 
 def _pilot_loss(result: ArmResult) -> float:
     return result.figures[f"{RECOGNIZER if result.options[FIT_OPTION] == RECOGNIZER else POLICY}.{LOSS}"]
+
+
+def _version(made: Path, fit: Step) -> str:
+    return ModelStore(made / "data" / "models" / fit["config"]["service"]).active_version(fit["name"])
+
+
+def _card(made: Path, fit: Step) -> dict[str, Any]:
+    store = ModelStore(made / "data" / "models" / fit["config"]["service"])
+    return read_card(store.folder(ModelRef(fit["name"], _version(made, fit))))
 
 
 def _validated(made: Path, fit: Step) -> Iterator[tuple[int, float]]:

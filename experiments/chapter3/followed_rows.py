@@ -13,7 +13,7 @@ from experiments.workbench.results import ArmResult, Sample
 from experiments.workbench.table import Section
 
 STATISTICS = {"mean": resampled.mean, "median": resampled.median}
-_SHARES = ("success", "contact", "stopped.goal", "ended")
+_SHARES = ("success", "contact", "stopped.goal", "ended", "failed.flag", "failed.blocked", "failed.lost")
 """Figures that are 0 or 1 in a trial."""
 
 
@@ -158,21 +158,28 @@ def _by_landmark(rows: Sequence[Row], figure: str) -> Iterator[tuple[str, ...]]:
 
 def reached(results: Sequence[ArmResult]) -> Iterator[Section]:
     """Yields how much was explored, how far explorations get, and knots among them, where that is known."""
-    counted = (reach.EXPLORED, reach.LEARNED, knots.DISPLACEMENTS, knots.KNOTS)
+    counted = (reach.EXPLORED, reach.LEARNED, reach.STILL, knots.DISPLACEMENTS, knots.KNOTS)
     moved = [f"moved.{actions}.{quantile}" for actions in reach.ACTIONS for quantile in reach.QUANTILES]
     explored = [each for each in results if each.method == EXPLORING]
     known = [name for name in (*counted, *moved) if any(name in each.figures for each in explored)]
     if explored:
         header = ("data", *(_TITLES.get(name) or "{1} actions, {2}".format(*name.split(".")) for name in known))
-        cells = [
-            (each.options[DATA_OPTION], *(_number(name, each.figures.get(name)) for name in known)) for each in explored
-        ]
-        yield Section(header, tuple(cells), "Exploration")
+        yield Section(header, tuple(row for each in explored for row in _explored(each, known)), "Exploration")
+
+
+def _explored(result: ArmResult, known: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Yields the cells of an exploration, and of its parts, as far as these have been measured."""
+    data, part = result.options[DATA_OPTION], 0
+    yield data, *(_number(name, result.figures.get(name)) for name in known)
+    while any(f"part.{part}.{name}" in result.figures for name in known):
+        yield f"{data}, part {part + 1}", *(_number(name, result.figures.get(f"part.{part}.{name}")) for name in known)
+        part += 1
 
 
 _TITLES = {
     reach.EXPLORED: "actions",
     reach.LEARNED: "learned from before",
+    reach.STILL: "share that changed no pixel",
     knots.DISPLACEMENTS: "made again",
     knots.KNOTS: "knots",
 }
@@ -181,4 +188,4 @@ _TITLES = {
 def _number(name: str, value: float | None) -> str:
     if value is None:
         return ""
-    return f"{value:.0f}" if name in _TITLES else f"{value:.3g}"
+    return f"{value:.0f}" if name in _TITLES and name != reach.STILL else f"{value:.3g}"

@@ -6,7 +6,7 @@ tried between them. A policy is fitted once for two arms, one for each kind of s
 
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -34,6 +34,8 @@ from experiments.workbench.results import ArmResult, Outcome, load
 from experiments.workbench.table import Table
 from freerein.atomic_files import write_atomic
 from freerein.data import Dataset, dataset_path
+from freerein.errors import FailedPrecondition
+from freerein.learning.checkpoints import JSON
 from freerein.learning.model_files import MODEL, read_card
 from freerein.model_store import ModelStore
 from freerein.types.common import ModelRef
@@ -100,6 +102,8 @@ class Followers(Experiment):
         if is_fitted(arm.method) and source is None:
             return None
         made = self._figures(arm, work, source) if source else {}
+        shown = self._shown(arm, work, source) if source else {}
+        self._check_one_policy(arm, results, shown)
         modules = {"imitation": sift.MODULE} if arm.method == SIFT else {}
         if arm.method == SIFT:
             source = folder / "made"
@@ -113,7 +117,8 @@ class Followers(Experiment):
             if trials is None:
                 return None
             found[acting] = trials
-        return Outcome(made, dict(samples(found, self.exploration.settings_of(arm), self.exploration.figures)))
+        measured = dict(samples(found, self.exploration.settings_of(arm), self.exploration.figures))
+        return Outcome(made, measured, shown)
 
     def table(self, results: Sequence[ArmResult]) -> Table:
         """Returns a row for each fit that has results, and the claims."""
@@ -133,12 +138,8 @@ class Followers(Experiment):
         if not is_fitted(arm.method):
             return {GREEDY: [*settings]}
         is_claimed = (arm.method, arm.options[DATA_OPTION]) == self.exploration.claimed
-        chose = replace(arm, options={**arm.options, SETTINGS_OPTION: CHOICE})
-        path = results / f"{chose.name}.json"
-        if arm.options[SETTINGS_OPTION] != TEST or is_claimed or not path.exists():
-            return {acting: [*settings] for acting in ACTING}
-        result = load(path)
-        if not is_current(self, chose, result):
+        result = self._chose(arm, results)
+        if arm.options[SETTINGS_OPTION] != TEST or is_claimed or result is None:
             return {acting: [*settings] for acting in ACTING}
         chosen = {name: chosen_acting(result.samples, setting.choice) for name, setting in settings.items()}
         named = {acting: [name for name in settings if chosen[name] in (acting, "")] for acting in ACTING}
@@ -171,6 +172,32 @@ class Followers(Experiment):
         recognizer = self._recognizer(work)
         shared = fits.figures(recognizer, self.exploration.recognizer_step()) if recognizer else ()
         return dict([*fits.figures(fitted, self.exploration.fit_step(arm)), *shared])
+
+    def _shown(self, arm: Arm, work: Path, fitted: Path) -> dict[str, JSON]:
+        """Returns the versions of an arm's policy and of the recognizer, and the fingerprint of the policy's data."""
+        recognizer = self._recognizer(work)
+        shared = fits.made_of(recognizer, self.exploration.recognizer_step()) if recognizer else {}
+        return {**shared, **fits.made_of(fitted, self.exploration.fit_step(arm))}
+
+    def _check_one_policy(self, arm: Arm, results: Path, shown: Mapping[str, JSON]) -> None:
+        """Raises FailedPrecondition where another policy than that of an arm of tests has chosen how it acts.
+
+        Fits may differ between machines.
+        """
+        chose = self._chose(arm, results) if arm.options.get(SETTINGS_OPTION) == TEST else None
+        if chose is not None and chose.shown.get(POLICY) != shown.get(POLICY):
+            raise FailedPrecondition(
+                f"One policy must have the results of {arm.name} and of {chose.name}; the latter are of version "
+                f"{chose.shown.get(POLICY)}, not {shown.get(POLICY)}.",
+                hint=f"Delete the result of {chose.name} and run it again, before the tests.",
+            )
+
+    def _chose(self, arm: Arm, results: Path) -> ArmResult | None:
+        """Returns the current result of the settings that choose for an arm, if there is one."""
+        chose = replace(arm, options={**arm.options, SETTINGS_OPTION: CHOICE})
+        path = results / f"{chose.name}.json"
+        result = load(path) if path.exists() else None
+        return result if result is not None and is_current(self, chose, result) else None
 
     def _fitted(self, arm: Arm, work: Path, on_progress: Callable[[], None]) -> Path | None:
         """Fits the policy of an arm, once for all arms that act by it, to data that are made once for all."""

@@ -26,9 +26,9 @@ ACTIONS = (5, 10, 15, 20)
 """Between two places."""
 
 QUANTILES = {"median": 50, "p90": 90}
-EXPLORED, LEARNED = "explored", "learned"
-"""Names of the numbers of actions in the data with an image before and after, and of those, not among them, that the
-policies which made the data had learned from."""
+EXPLORED, LEARNED, STILL = "explored", "learned", "still"
+"""Names of the numbers of actions in the data with an image before and after, of those, not among them, that the
+policies which made the data had learned from, and of the share of the former that changed no pixel."""
 
 _ROUNDS, _NUM_ENVS, _SEED = 4, 16, 2_000_003
 """Rounds of episodes, and episodes at a time: 64 engines of `doom` at once may take longer to begin than a call waits.
@@ -45,14 +45,17 @@ def amounts(collected: Mapping[str, Any], *, made: Path) -> dict[str, float]:
         made: Folder of the pipeline that has made them.
     """
     name = collected["dataset"]
-    explored = Dataset(dataset_path(made / "data", name)).lengths - 1
+    dataset = Dataset(dataset_path(made / "data", name))
+    explored = float((dataset.lengths - 1).sum())
+    still = sum(_still(frames) for trajectory in dataset for frames in trajectory.frames.values())
     card = json.loads((run_folder(made) / "parts" / name / "artifacts" / "dataset.json").read_bytes())
     learned = {each["sha256"]: each["learned_timesteps"] for each in card.get("parts", ())}
-    return {EXPLORED: float(explored.sum()), LEARNED: float(sum(learned.values()))}
+    cameras = len(dataset.spec.cameras)
+    return {EXPLORED: explored, LEARNED: float(sum(learned.values())), STILL: still / (explored * cameras)}
 
 
 def measure(collected: Mapping[str, Any], *, places: int, made: Path, folder: Path) -> dict[str, float]:
-    """Returns quantiles of the distances over all parts in their shares, by name.
+    """Returns quantiles of the distances over all parts in their shares, by name, and over each, such as `part.0.NAME`.
 
     Args:
         collected: Configuration of the run that collects the data.
@@ -70,7 +73,11 @@ def measure(collected: Mapping[str, Any], *, places: int, made: Path, folder: Pa
             return [await asyncio.to_thread(_explored, sim, collected["task"], part, made) for part in parts]
 
     shares = [part.get("share", 1.0) for part in parts]
-    return distances([[each.states[:, :places] for each in part] for part in asyncio.run(explore())], shares)
+    walked = [[each.states[:, :places] for each in part] for part in asyncio.run(explore())]
+    found = distances(walked, shares)
+    for number, part in enumerate(walked):
+        found |= {f"part.{number}.{name}": value for name, value in distances([part], [1.0]).items()}
+    return found
 
 
 def distances(parts: Sequence[Sequence[npt.NDArray[np.float64]]], shares: Sequence[float]) -> dict[str, float]:
@@ -92,6 +99,11 @@ def distances(parts: Sequence[Sequence[npt.NDArray[np.float64]]], shares: Sequen
         for name, percent in QUANTILES.items():
             found[f"moved.{actions}.{name}"] = float(values[order][np.searchsorted(below, percent / 100)])
     return found
+
+
+def _still(frames: npt.NDArray[np.uint8]) -> int:
+    """Returns how many frames, uint8 (T, H, W, C), equal the one before."""
+    return int((frames[1:] == frames[:-1]).all(axis=(1, 2, 3)).sum())
 
 
 def _moved(places: npt.NDArray[np.float64], actions: int) -> npt.NDArray[np.float64]:

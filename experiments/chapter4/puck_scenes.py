@@ -23,7 +23,7 @@ from freerein_sim.worlds.random_policy import SmoothRandomPolicy
 from freerein_sim.worlds.tasks import tasks
 
 CAMERAS = ("front", "left")
-"""The front camera looks down at 40 degrees, and is the tilted one, too; the left one is the side view."""
+"""The front camera looks down at 37 degrees, and is the tilted one, too; the left one is the side view."""
 
 TRAY_COLOUR = "cyan"
 NOUNS = (*COLOURS, TRAY_COLOUR)

@@ -8,7 +8,13 @@ from freerein_imitation.methods.goal_conditioned.losses import stop_loss
 from freerein_imitation.methods.shared import action_bins
 from freerein_imitation.methods.shared.goal_images.recognizer import proximity_logit
 from freerein_imitation.methods.shared.goal_images.recognizer_losses import recognizer_loss
-from freerein_imitation.methods.shared.losses import action_cross_entropy, masked_mean, squared_error, termination_loss
+from freerein_imitation.methods.shared.losses import (
+    action_cross_entropy,
+    masked_mean,
+    squared_distance,
+    squared_error,
+    termination_loss,
+)
 
 
 def test_the_action_loss_of_a_uniform_guess_is_the_logarithm_of_the_categories() -> None:
@@ -24,8 +30,10 @@ def test_the_action_loss_is_least_where_the_executed_action_is_predicted() -> No
     torch.testing.assert_close(slope, torch.zeros_like(slope), atol=1e-6, rtol=0)
 
 
-def test_the_forward_terms_are_mean_squares_over_features() -> None:
-    assert squared_error(torch.tensor([[1.0, 3.0]]), torch.tensor([[1.0, 1.0]])).tolist() == [2.0]
+def test_forward_terms_are_sums_of_squares_and_the_loss_of_actions_is_their_mean() -> None:
+    predicted, target = torch.tensor([[1.0, 3.0]]), torch.tensor([[1.0, 1.0]])
+    assert squared_distance(predicted, target).tolist() == [4.0]
+    assert squared_error(predicted, target).tolist() == [2.0]
 
 
 def test_close_pairs_weigh_as_much_as_all_others_however_many_there_are() -> None:

@@ -27,7 +27,14 @@ from freerein_orchestrator.envs.episodes import replay, run_episodes
 from freerein_orchestrator.envs.random_policies import exploration_policy
 from freerein_orchestrator.envs.truth import check_predicates
 from freerein_orchestrator.kinds import KINDS
-from freerein_orchestrator.kinds.evaluate.demonstration import efficiency, stopped_at, times_in_order, times_left
+from freerein_orchestrator.kinds.evaluate.demonstration import (
+    FAILURES,
+    check_completed,
+    efficiency,
+    stopped_at,
+    times_in_order,
+    times_left,
+)
 from freerein_orchestrator.kinds.evaluate.form import enlarged
 from freerein_orchestrator.kinds.evaluate.landmarks import pursuit_of, reached_by_truth
 from freerein_orchestrator.kinds.evaluate.recipes import (
@@ -490,7 +497,7 @@ def test_demonstrations_are_followed_by_their_goal_images(evaluation: Callable[.
     assert [each["path"] for each in paths] == ["move-red", "move-yellow"]
     assert [each["landmarks"] for each in paths] == [-(-each["steps"] // 20) for each in paths]
     assert (result["switching"], result["model"]["name"]) == (switching, "default")
-    assert "ended" in result["figures"]
+    assert {"ended", "steps", "farthest_at", *(f"failed.{each}" for each in FAILURES)} <= set(result["figures"])
 
 
 @pytest.mark.e2e
@@ -501,9 +508,32 @@ def test_a_round_ends_once_the_policy_has_gone_on_from_all_landmarks(evaluation:
     (path,) = run.artifact("result.json")["paths"]
     (line,) = (run.folder / "checkpoints" / "rounds.jsonl").read_bytes().splitlines()
     for trial in json.loads(line)["trials"]:
-        assert trial["steps"] == path["landmarks"] + 1 < path["steps"]
+        assert trial["steps"] == path["landmarks"] < path["steps"]
         assert trial["ended"]
-        assert len(trial["confidence"]) == trial["steps"]
+        assert len(trial["confidence"]) == len(trial["at_landmark"]) == trial["steps"]
+        assert trial["farthest_at"] == (trial["times"] or [0])[-1]
+        assert sum(trial[f"failed.{each}"] for each in FAILURES) == (trial["completion"] < 1)
+
+
+@pytest.mark.e2e
+def test_a_trial_lasts_its_most_steps_however_long_its_demonstration_is(evaluation: Callable[..., Any]) -> None:
+    run = evaluation(DEMONSTRATIONS | {"paths": ["move-red"], "every": 20, "most_steps": 7} | ROUNDS)
+    assert run.do()
+    result = run.artifact("result.json")
+    assert result["figures"]["steps"]["value"] == 7 < result["paths"][0]["steps"]
+    assert {f"failed.{each}" for each in FAILURES}.isdisjoint(result["figures"])
+
+
+@pytest.mark.e2e
+def test_a_demonstration_that_does_not_complete_its_path_asks_for_another_seed(services: dict[str, str]) -> None:
+    request = CreateSessionRequest("blocks", num_envs=1, seed=0, privileged=True)
+    with SyncClient(SimClient(Channel(services["FREEREIN_SIM_ADDRESS"]))) as sim:
+        task = find_task(sim, "blocks")
+        (idle,) = run_episodes(sim, request, exploration_policy(task.action), lambda: None, max_steps=2)
+        with pytest.raises(FailedPrecondition, match="must complete its path; that of move-red does not") as error:
+            check_completed(sim, task, "move-red", idle.states)
+        check_completed(sim, replace(task, predicates=()), "move-red", idle.states)
+    assert error.value.field == "config.demonstration_seed"
 
 
 @pytest.mark.long  # a walk of hundreds of steps in the engine

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.own_world import install_template
 
 from freerein.clients import Channel, ImitationClient, SyncClient
 from freerein.errors import InvalidInput
@@ -88,16 +89,24 @@ def test_a_task_whose_own_goal_states_nothing_needs_a_text() -> None:
         pipeline_steps(ZsrmRunConfig(TASK.name), TASK, TASK.name)
 
 
-@pytest.mark.long  # a fit of a reward model, and of an object encoder
+@pytest.mark.long  # two fits of a reward model, and of an object encoder
 @pytest.mark.e2e
 @pytest.mark.parametrize(
-    ("task", "text"), [("blocks.red-left-of-blue", TEXT), ("push", "a blue object close to a yellow object")]
+    ("task", "text"),
+    [
+        ("blocks.red-left-of-blue", TEXT),
+        ("push", "a blue object close to a yellow object"),
+        ("lamps", "a red object to the left of a blue object"),  # of a package that is installed
+    ],
 )
-def test_a_run_goes_from_a_text_to_a_policy_that_is_served_though_it_is_stopped_between(
+def test_a_run_goes_from_a_text_to_a_policy_that_is_served_the_same_where_it_is_stopped_between(
     task: str, text: str, new_run: Callable[..., Any], start_service: Callable[..., Any], tmp_path: Path
 ) -> None:
+    installed = tmp_path / "installed"
+    installed.mkdir()
+    install_template(installed)
     started = {
-        name: start_service(f"freerein_{name.lower()}", tmp_path, FREEREIN_SIM_WORKERS="1")
+        name: start_service(f"freerein_{name.lower()}", tmp_path, FREEREIN_SIM_WORKERS="1", PYTHONPATH=str(installed))
         for name in ("SIM", "REWARD", "IMITATION")
     }
     services = {f"FREEREIN_{name}_ADDRESS": service.address for name, service in started.items()}
@@ -124,3 +133,9 @@ def test_a_run_goes_from_a_text_to_a_policy_that_is_served_though_it_is_stopped_
     assert (result["models"]["reward"]["name"], run.model.name) == ("words", "words")
     with SyncClient(ImitationClient(Channel(started["IMITATION"].address))) as imitation:
         assert imitation.get_spec(GetSpecRequest(run.model)).goal_texts == (text,)
+
+    undisturbed = new_run(tmp_path, "zsrm", config | {"name": "again"}, **services)
+    assert undisturbed.do()
+    folders = [tmp_path / "models/imitation" / each.model.name / each.model.version for each in (run, undisturbed)]
+    stopped, whole = ((folder / "model.safetensors").read_bytes() for folder in folders)
+    assert stopped == whole

@@ -1,13 +1,11 @@
-"""The template of a world of one's own, installed as its README says, but without pip."""
+"""The template of a world of one's own, once it is installed."""
 
-import shutil
-import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.own_world import install_template
 
 from freerein.types.sim import DemonstrateRequest
 from freerein_sim.workers.demonstrations import make_demonstration
@@ -15,21 +13,11 @@ from freerein_sim.worlds import conformance
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.world import TaskDefinition
 
-TEMPLATE = Path("examples/own_world")
-
 
 @pytest.fixture(scope="module")
 def lamps(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TaskDefinition]:
     folder = tmp_path_factory.mktemp("installed")
-    project = tomllib.loads((TEMPLATE / "pyproject.toml").read_text())["project"]
-    shutil.copy(TEMPLATE / "own_world.py", folder)
-    info = folder / "own_world-1.0.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
-    worlds = project["entry-points"]["freerein.worlds"]
-    (info / "entry_points.txt").write_text(
-        "\n".join(["[freerein.worlds]", *(f"{name} = {place}" for name, place in worlds.items())])
-    )
+    install_template(folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
         yield tasks()["lamps"]

@@ -9,14 +9,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from freerein.criteria import View, criteria
 from freerein.errors import InvalidInput
 from freerein_sim.worlds.episodes import record_episode, record_expert
 from freerein_sim.worlds.predicates import States
 from freerein_sim.worlds.push import TASKS, initial_states, scene
-from freerein_sim.worlds.push.criteria import CLOSE_M, CRITERIA
+from freerein_sim.worlds.push.criteria import CLOSE_M, CRITERIA, Criterion
 from freerein_sim.worlds.push.predicates import is_behind
 from freerein_sim.worlds.push.simulation import PushWorld
-from freerein_sim.worlds.push.things import EVERYTHING
+from freerein_sim.worlds.push.things import EVERYTHING, OBJECT_M
 from freerein_sim.worlds.world import expert_of
 
 BY_NAME = {task.name: task for task in TASKS}
@@ -264,3 +265,28 @@ def test_both_pucks_can_be_told_by_colour_from_some_camera(size: int) -> None:
 
             assert ((blue > 100) & (red < 60)).sum(axis=(1, 2)).max() >= 10
             assert ((red > 130) & (green > 100) & (blue < 60)).sum(axis=(1, 2)).max() >= 10
+
+
+BESIDE_LIMITS = {"on-top-of": 0.15, "below": 0.15, "close-to": 0.05, "apart-from": 0.05, "inside-of": 0.15}
+"""Object widths from the limit of a caption within which the oracle may have its own; half a width for sides."""
+
+
+@pytest.mark.parametrize("criterion", CRITERIA, ids=lambda criterion: criterion.name)
+def test_captions_of_true_places_judge_as_the_oracle_does_but_for_their_limits(criterion: Criterion) -> None:
+    rng, count = np.random.default_rng(0), 20_000
+    places = rng.uniform(-4, 4, (3, count, 3)) * (1, 1, 0)  # x, y, z in object widths
+    is_stacked = rng.random(count) < (0 if criterion.name == "inside-of" else 0.5)
+    on_second = places[1] + np.append(rng.uniform(-0.9, 0.9, (count, 2)), rng.choice((0.7, 1.0), (count, 1)), axis=1)
+    places[0] = np.where(is_stacked[:, None], on_second, places[0])
+    if criterion.name == "below":
+        places[:2] = places[1::-1].copy()
+    x, y, z = np.moveaxis(places[: len(criterion.kinds)], 2, 0).swapaxes(1, 2)  # (count, things)
+    seen = {View.FRONT: (y, -z), View.SIDE: (x, -z), View.TILTED: (y, x)}  # from far away, the last from above
+    name = "close_to" if criterion.name == "apart-from" else criterion.name.replace("-", "_")
+    caption = criteria(container_width=2.4)[name]
+    margin = caption.margin(np.stack(seen[caption.view], axis=2)) * (-1 if criterion.name == "apart-from" else 1)
+    is_clear = np.abs(margin) > BESIDE_LIMITS.get(criterion.name, 0.55)
+
+    holds = criterion.holds(*(OBJECT_M * places[: len(criterion.kinds)]))
+    assert (holds[is_clear] == (margin[is_clear] > 0)).all()
+    assert 100 < holds[is_clear].sum() < is_clear.sum() - 100

@@ -65,7 +65,7 @@ def _with_model(service: str, model: ModelRef, dataset: str, config: Mapping[str
             cameras = tuple(config.get("cameras", ()))
             several = len(cameras) > 1
             images = " ".join(f"{camera}=IMAGE.png" for camera in cameras) if several else "IMAGE.png"
-            audit = f"freerein reward --audit DIR --model {model.name}  # so far nobody has said what images show"
+            audit = f"freerein reward --audit DIR --model {model.name}  # self-consistency only, so far"
             return [
                 f"freerein reward {images} --goal 'TEXT' --model {model.name}",
                 *[audit] * (not several),

@@ -27,7 +27,7 @@ from freerein_imitation.methods.shared.goal_images.losses import (
 )
 from freerein_imitation.methods.shared.goal_images.recognizer_losses import goals_ahead
 from freerein_imitation.methods.shared.goal_images.relabelling import RelabelledSlices
-from freerein_imitation.methods.shared.losses import masked_mean, squared_error
+from freerein_imitation.methods.shared.losses import masked_mean, squared_distance
 
 State = TrainState[GoalConditionedNetwork]
 
@@ -126,7 +126,7 @@ class GoalConditionedLearner(GoalImagesLearner[GoalConditionedNetwork]):
         observed = network.forward_model.observed(features, slices.frames)  # (N, O)
         at = slices.timesteps  # (S, L)
         predicted = network.forward_model(features[at], actions, observed[at])
-        return masked_mean(squared_error(predicted, observed[at + 1]), slices.mask)
+        return masked_mean(squared_distance(predicted, observed[at + 1]), slices.mask)
 
 
 def stop_loss(logits: Tensor, lengths: Tensor) -> Tensor:

@@ -13,11 +13,13 @@ def action_cross_entropy(logits: Tensor, target: Tensor) -> Tensor:
 
 
 def squared_error(predicted: Tensor, target: Tensor) -> Tensor:
-    """Returns the mean squared error over the last axis of floats (..., D): float (...).
-
-    It is the L2 action loss of section 4.3, and both forward terms of eq. 3.4, where the dissertation sums.
-    """
+    """Returns the mean squared error over the last axis of floats (..., D), the L2 action loss of section 4.3."""
     return (predicted - target).square().mean(dim=-1)
+
+
+def squared_distance(predicted: Tensor, target: Tensor) -> Tensor:
+    """Returns the squared L2 norm of the difference of floats (..., D), both forward terms of eq. 3.4: float (...)."""
+    return (predicted - target).square().sum(dim=-1)
 
 
 def termination_loss(logits: Tensor, terminates: Tensor, continues: Tensor) -> Tensor:

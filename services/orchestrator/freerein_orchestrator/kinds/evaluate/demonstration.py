@@ -1,4 +1,4 @@
-"""The expert's demonstration of a path, and which of its landmarks a robot reached."""
+"""The expert's demonstration of a path, which of its landmarks a robot reached, and why not all of them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,8 +12,12 @@ from freerein.types.common import Goal
 from freerein.types.sim import CreateSessionRequest, Recipe, Task
 from freerein_orchestrator.envs.episodes import run_episodes
 from freerein_orchestrator.envs.policies import encode_raw, expert_policy
-from freerein_orchestrator.envs.truth import Flags, States
-from freerein_orchestrator.rl.vec_env import Frames
+from freerein_orchestrator.envs.truth import Flags, States, truth_session
+from freerein_orchestrator.rl.vec_env import Actions, Frames
+
+COMPLETED = "completed"
+FAILURES = ("flag", "blocked", "lost")
+"""Why a robot did not reach all landmarks; see `failure`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +72,7 @@ def demonstrate(
         every: Actions from one landmark to the next.
 
     Raises:
-        FailedPrecondition: The expert does not come to the end.
+        FailedPrecondition: The expert does not come to the end, or the task says that the path is not completed.
         InvalidInput: The task has no expert, or the skill is no recipe.
         ServiceError: The service failed.
     """
@@ -84,15 +88,37 @@ def demonstrate(
     )
     over = np.zeros(0, np.int64) if walked.goal_index is None else np.flatnonzero(walked.goal_index)
     if not len(over) or not over[0]:
-        raise FailedPrecondition(
-            f"A demonstration must come to its end, after one action at least; that of {path} does not.",
-            field="config.demonstration_seed",
-            hint="Choose another seed.",
-        )
+        raise _not_demonstrated("come to its end, after one action at least", path)
     end = int(over[0])
+    check_completed(sim, task, path, walked.states[: end + 1])
     steps = np.array([*range(every, end, every), end], np.int64)
     return Demonstration(
         path, steps, walked.states[steps], {camera: walked.frames[camera][steps] for camera in cameras}
+    )
+
+
+def check_completed(sim: SyncClient, task: Task, path: str, states: States) -> None:
+    """Checks that a demonstration, true states float64 (T + 1, S), completes its path at some time.
+
+    A task that offers no such predicate is not asked.
+
+    Raises:
+        FailedPrecondition: It does not.
+    """
+    name = f"{COMPLETED}/{path}"
+    if name not in [each.name for each in task.predicates]:
+        return
+    with truth_session(sim, task.name) as truth:
+        (holds,) = truth.holds(name, [states])
+    if not holds.any():
+        raise _not_demonstrated("complete its path", path)
+
+
+def _not_demonstrated(rule: str, path: str) -> FailedPrecondition:
+    return FailedPrecondition(
+        f"A demonstration must {rule}; that of {path} does not.",
+        field="config.demonstration_seed",
+        hint="Choose another seed.",
     )
 
 
@@ -149,3 +175,35 @@ def efficiency(demonstrated: npt.NDArray[np.int64], times: Sequence[int]) -> flo
         times: Actions of the robot before each landmark that it reached in order; without any the efficiency is 0.
     """
     return min(1.0, float(demonstrated[len(times) - 1]) / max(times[-1], 1)) if times else 0.0
+
+
+def without_effect(actions: Actions, states: States, hold: Actions) -> Flags:
+    """Returns which of T actions, (T, A), other than `hold`, (A,), changed no true state, float64 (T + 1, S): (T,)."""
+    return np.asarray((actions != hold).any(axis=1) & (states[1:] == states[:-1]).all(axis=1))
+
+
+def failure(
+    at_landmarks: Flags, goal_index: npt.NDArray[np.int64], is_stuck: Flags, *, max_steps: int, has_touched: bool
+) -> str:
+    """Returns why a robot did not reach the first landmark that is missing in order; empty where none is.
+
+    `flag`: it went on from that landmark before the step limit, though it was never there while it pursued it.
+    `blocked`: else, where half of its actions for that landmark had no effect, or it touched something.
+    `lost`: else, such as where it used up its steps elsewhere, or never came to pursue that landmark.
+
+    Args:
+        at_landmarks: bool (N, T + 1), whether it was at each landmark at each time.
+        goal_index: int64 (T,), number of landmarks that were over at each time; it never falls.
+        is_stuck: bool (T,), whether each action had no effect.
+        max_steps: Actions after which a landmark is abandoned.
+        has_touched: Whether it touched something.
+    """
+    missing = len(times_in_order(at_landmarks))
+    if missing == len(at_landmarks):
+        return ""
+    begin, end = np.searchsorted(goal_index, [missing, missing + 1]).tolist()  # the actions for it
+    goes_on_early = end < len(goal_index) and end - begin < max_steps
+    if goes_on_early and not at_landmarks[missing, begin : end + 1].any():
+        return "flag"
+    stuck = is_stuck[begin:end]
+    return "blocked" if has_touched or (len(stuck) and stuck.mean() >= 0.5) else "lost"

@@ -25,12 +25,16 @@ from freerein_orchestrator.envs.episodes import Episode, derive_seed, run_episod
 from freerein_orchestrator.envs.switching import Switching
 from freerein_orchestrator.envs.truth import Flags, TruthSession, check_predicates, truth_session
 from freerein_orchestrator.kinds.evaluate.demonstration import (
+    COMPLETED,
+    FAILURES,
     Demonstration,
     demonstrate,
     efficiency,
+    failure,
     stopped_at,
     times_in_order,
     times_left,
+    without_effect,
 )
 from freerein_orchestrator.kinds.evaluate.form import (
     FILMED,
@@ -43,10 +47,10 @@ from freerein_orchestrator.kinds.evaluate.form import (
     median_figure,
 )
 from freerein_orchestrator.kinds.evaluate.goal_flags import flag_figures
-from freerein_orchestrator.kinds.evaluate.landmarks import AT_LANDMARK, pursuit_of
+from freerein_orchestrator.kinds.evaluate.landmarks import AT_LANDMARK, asked_about, pursuit_of
 from freerein_orchestrator.kinds.evaluate.policies import PolicyConfig, check_no_goal, check_policy, find_policy
 
-COMPLETED, CONTACT = "completed", "contact"
+CONTACT = "contact"
 _FLAGGED = ("confidence", "at_landmark")
 
 
@@ -62,6 +66,7 @@ class DemonstrationsConfig(PolicyConfig):
         demonstration_conditions: Conditions under which they are shown; those of the trials are `conditions`.
         steps_per_landmark: Steps after which a landmark is abandoned; 0 for the model's own limit.
         length_factor: A trial lasts so many times as long as its demonstration.
+        most_steps: Most actions of a trial, whatever `length_factor` says; 0 for no such limit.
         switching: By the `policy`'s own flag; by `steps`, the next landmark is its goal after `steps_per_landmark`; or
             by the `truth`, a ceiling: once it truly is at the present one, or has used up its steps.
         measures: Whether the task's measures are taken; each may take longer than the trial.
@@ -74,6 +79,7 @@ class DemonstrationsConfig(PolicyConfig):
     demonstration_conditions: tuple[str, ...] = ()
     steps_per_landmark: int = bounded(0, least=0, most=10_000)
     length_factor: float = bounded(5.0, least=1.0, most=100.0)
+    most_steps: int = bounded(0, least=0, most=100_000)
     switching: Literal["policy", "steps", "truth"] = "policy"
     measures: bool = True
 
@@ -110,6 +116,11 @@ class DemonstrationsEvaluation:
         self._completed = {f"{COMPLETED}/{each.path}" for each in self._demonstrations} <= set(offered)
         self.subject: dict[str, Any] = {**self._policy.description, "switching": config.switching}
 
+    @property
+    def _is_expert(self) -> bool:
+        """Whether the expert acts, whose one goal is the whole path."""
+        return self._setup.config.policy == "expert"
+
     def run_round(self, first: int, count: int) -> Sequence[Trial]:
         """Returns trials `first` to `first + count`."""
         setup, shown = self._setup, [self._shown(first + env) for env in range(count)]
@@ -130,7 +141,7 @@ class DemonstrationsEvaluation:
 
     def _follow(self, run: Callable[..., Sequence[Episode]], shown: Sequence[Demonstration]) -> Sequence[Episode]:
         """Returns the policy's episodes."""
-        if self._setup.config.policy == "expert":
+        if self._is_expert:
             return run(self._policy, goals=[Goal(recipe=(each.path,)) for each in shown], last_goals=[1] * len(shown))
         landmarks = [each.landmarks for each in shown]
         counts = [len(each) for each in landmarks]
@@ -166,7 +177,7 @@ class DemonstrationsEvaluation:
 
     def _measured(self, truth: TruthSession, episode: Episode, shown: Demonstration) -> dict[str, list[float]]:
         """Returns each measure where the policy went on from each landmark, by name."""
-        index = None if self._setup.config.policy == "expert" else episode.goal_index  # whose goal is the whole path
+        index = None if self._is_expert else episode.goal_index
         states = episode.states[times_left(index, shown.steps, length=len(episode.actions))]
         return {name: truth.values(name, states, shown.states).tolist() for name in self._measures}
 
@@ -177,23 +188,45 @@ class DemonstrationsEvaluation:
         times = {judge: times_in_order(each) for judge, each in at.items()}
         values: dict[str, Any] = {
             "path": shown.path,
-            "steps": len(episode.actions),
+            "steps": self._steps(shown, episode),
             "times": times[AT_LANDMARK],
+            "farthest_at": max(times[AT_LANDMARK], default=0),
             **{_figure("completion", judge): len(each) / len(shown.steps) for judge, each in times.items()},
             **{_figure("efficiency", judge): efficiency(shown.steps, each) for judge, each in times.items()},
             **outcome,
+            **self._pursued(episode, at, has_touched=outcome.get("contact", False)),
         }
-        if episode.goal_index is not None and episode.goal_confidence is not None:
-            pursuit = pursuit_of(at[AT_LANDMARK][:, :-1], episode.goal_index)
-            active = pursuit.is_active
-            values |= {
-                "confidence": episode.goal_confidence[active].tolist(),
-                "at_landmark": pursuit.at_landmark[active].tolist(),
-                "recognized": float(pursuit.recognized.mean()),
-                "ended": bool(episode.goal_index[-1] >= pursuit.count),
-                **{_figure("stopped", judge): stopped_at(each, episode.goal_index) for judge, each in at.items()},
-            }
         return Trial(values, {FILMED: episode.actions})
+
+    def _steps(self, shown: Demonstration, episode: Episode) -> int:
+        """Returns the actions until the policy went on from its last goal, or until the end of its trial."""
+        goals = 1 if self._is_expert else len(shown.steps)
+        index = episode.goal_index
+        return len(episode.actions) if index is None else int(np.searchsorted(index, goals))
+
+    def _pursued(self, episode: Episode, at: Mapping[str, Flags], *, has_touched: bool) -> dict[str, Any]:
+        """Returns how a policy pursued landmarks, and what kept it from the first that is missing; else nothing."""
+        index, confidence, config = episode.goal_index, episode.goal_confidence, self._setup.config
+        if index is None or confidence is None:
+            return {}
+        pursuit = pursuit_of(at[AT_LANDMARK][:, :-1], index)
+        asked = asked_about(index, is_switched=config.switching != "policy")
+        active = np.flatnonzero(asked < pursuit.count)
+        failed = failure(
+            at[AT_LANDMARK],
+            index,
+            without_effect(episode.actions, episode.states, self._setup.task.action.hold_action()),
+            max_steps=self._policy.max_steps_per_goal,
+            has_touched=has_touched,
+        )
+        return {
+            "confidence": confidence[active].tolist(),
+            "at_landmark": at[AT_LANDMARK][asked[active], active].tolist(),
+            "recognized": float(pursuit.recognized.mean()),
+            "ended": bool(index[-1] >= pursuit.count),
+            **{_figure("stopped", judge): stopped_at(each, index) for judge, each in at.items()},
+            **{f"failed.{each}": int(each == failed) for each in FAILURES},
+        }
 
     def result(self, trials: Sequence[Trial]) -> Result:
         """Returns the figures of all trials, and what each path came to."""
@@ -228,7 +261,9 @@ class DemonstrationsEvaluation:
         return self._demonstrations[trial % len(self._demonstrations)]
 
     def _most_steps(self, shown: Demonstration) -> int:
-        return int(self._setup.config.length_factor * shown.length)
+        config = self._setup.config
+        steps = int(config.length_factor * shown.length)
+        return min(steps, config.most_steps or steps)
 
     def _demonstrate(self, path: str) -> Demonstration:
         setup, config = self._setup, self._setup.config
@@ -286,14 +321,15 @@ def _figure(name: str, judge: str) -> str:
 
 
 def _figures(values: Sequence[Mapping[str, Any]], judges: Sequence[str], *, seed: int) -> dict[str, Figure]:
-    """Returns medians with their means beside, shares, and the quality of the policy's flag on visited states."""
+    """Returns medians with their means beside, shares and means, and the quality of the policy's flag."""
     figures = {}
     for name in [_figure(each, judge) for judge in judges for each in ("completion", "efficiency")]:
         numbers = [each[name] for each in values]
         figures[name] = median_figure(numbers)
         figures[f"{name}.mean"] = mean_figure(numbers, seed=seed)
     stopped = [_figure("stopped", judge) for judge in judges]
-    for name in ("success", "contact", "recognized", "ended", *stopped):
+    failed = [f"failed.{each}" for each in FAILURES]
+    for name in ("success", "contact", "recognized", "ended", *stopped, *failed, "steps", "farthest_at"):
         if name in values[0]:
             figures[name] = mean_figure([float(each[name]) for each in values], seed=seed)
     if "confidence" in values[0]:

@@ -109,9 +109,20 @@ def pursuit_of(at_landmarks: Flags, goal_index: npt.NDArray[np.int64]) -> Pursui
         goal_index: int64 (T,), landmarks that were over according to the answer to each timestep; it never falls.
     """
     count, steps = at_landmarks.shape
-    pursued = np.minimum(np.concatenate([[0], goal_index[:-1]]), count).astype(np.int64)
+    pursued = np.minimum(asked_about(goal_index, is_switched=False), count)
     at_landmark = at_landmarks[np.minimum(pursued, count - 1), np.arange(steps)] & (pursued < count)
     return Pursuit(pursued, at_landmark, np.asarray(goal_index > pursued), count)
+
+
+def asked_about(goal_index: npt.NDArray[np.int64], *, is_switched: bool) -> npt.NDArray[np.int64]:
+    """Returns the landmark that each answer's confidence is about, int64 (T,); N or more where all N are over.
+
+    Args:
+        goal_index: int64 (T,), landmarks that were over according to the answer to each timestep.
+        is_switched: Whether the policy is told, before it answers, which landmark it pursues, as by `Switching`. Else
+            its answer says of the landmark before whether it goes on.
+    """
+    return goal_index if is_switched else np.concatenate([np.zeros(1, np.int64), goal_index[:-1]])
 
 
 def reached_by_truth(at_landmarks: Flags, *, max_steps: int) -> Flags:

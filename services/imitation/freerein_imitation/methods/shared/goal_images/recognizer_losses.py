@@ -55,14 +55,18 @@ def recognizer_loss(logits: Tensor, close: Tensor, far: Tensor, other_trajectory
 def reached_threshold(recognizer: GoalRecognizer, trajectories: Trajectories) -> float:
     """Returns the recognizer's median probability that frames one action apart are close.
 
-    The threshold that best separates training's pairs is far lower, and would call a goal reached too early.
-    At least one of the validation trajectories has 2 timesteps.
+    The threshold that best separates training's pairs is far lower, and would call a goal reached too early. Frames of
+    one embedding say nothing, such as those of a robot that stands still: they count where no others do. At least one
+    of the validation trajectories has 2 timesteps.
     """
-    logits = []
+    logits, differ = [], []
     for item in range(len(trajectories)):
         embeddings = encode_trajectory(recognizer, trajectories, item, most=_THRESHOLD_FRAMES)
         logits.append(proximity_logit(embeddings[1:], embeddings[:-1]).cpu().numpy())  # (T - 1,)
-    return float(np.median(1 / (1 + np.exp(-np.concatenate(logits)))))
+        differ.append((embeddings[1:] != embeddings[:-1]).any(dim=1).cpu().numpy())
+    all_logits, is_counted = np.concatenate(logits), np.concatenate(differ)
+    counted = all_logits[is_counted] if is_counted.any() else all_logits
+    return float(np.median(1 / (1 + np.exp(-counted))))
 
 
 def goals_ahead(length: int, rng: np.random.Generator, *, far_steps: int) -> npt.NDArray[np.int64]:
