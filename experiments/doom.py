@@ -13,7 +13,9 @@ from experiments.chapter3.followers import Followers
 from experiments.workbench.pipelines import step
 
 _CONSISTENT = {"forward_consistency_weight": 0.1}
-_OF_VARIANTS = {"steps": 4_000}
+_OF_VARIANTS = {"steps": 2_800}
+"""Four passes."""
+
 _OF_ONE_STEP = {"batch_size": 58}
 """Slices of one action are of windows of 10 frames, others of 24: as many frames in each update."""
 
@@ -38,11 +40,11 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
         **_CONSISTENT,
         "forward_pretraining_steps": 1000,
         "policy_pretraining_steps": 1000,
-        "steps": 5_000,
+        "steps": 3_800,
     },
 }
 _SIDE_ROWS = [row for row in _ROWS if row not in ("gsp_features", "gsp_no_consistency")]
-_FIT = {"encoder": "convolutional", "steps": 7_000}
+_FIT = {"encoder": "convolutional", "steps": 7_000, "evaluate_every": 250}
 """Ten passes: an update sees 24 windows of 24 frames."""
 _LR = {RECOGNIZER: 2e-3, "inverse_model": 2e-3, "gsp_no_consistency": 2e-3}
 """To be set from the arms `pilot`, the rate of the lowest held-out loss of each, before anything else is trained."""

@@ -25,7 +25,7 @@ _TASK, _DATA = "office", "random"
 _COLLECTED = {"count": 4_400, "height": 48, "width": 48}
 """Trajectories end where the robot touches something, after 57 actions in the mean of 500: 240 000 in all."""
 
-_FIT = {"encoder": "convolutional", "steps": 7_200}
+_FIT = {"encoder": "convolutional", "steps": 7_200, "evaluate_every": 250}
 _LR = {RECOGNIZER: 2e-3, "inverse_model": 2e-3, "gsp_no_consistency": 2e-3}
 """To be set from the arms `pilot`, the rate of the lowest held-out loss of each, before anything else is trained."""
 

@@ -24,7 +24,7 @@ _TASK, _DATA = "rope", "random"
 _TRAJECTORIES = 1_540
 """Of 40 actions, the last of which has no image after it: 60 060 in all."""
 
-_STEPS = {"encoder": "convolutional", "steps": 6_500}
+_STEPS = {"encoder": "convolutional", "steps": 6_500, "evaluate_every": 250}
 _LR = {RECOGNIZER: 2e-3, "inverse_model": 2e-3, "gsp": 2e-3}
 """To be set from the arms `pilot`, the rate of the lowest held-out loss of each, before anything else is trained."""
 
