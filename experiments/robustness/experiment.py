@@ -107,7 +107,7 @@ class RobustnessExperiment(Experiment):
         if arm.method == policies.LANGUAGE:
             config["teachers"] = list(self._policies.values())
         if arm.method == policies.PPO_SPEED:
-            return config
+            return config | {"speed": speed.VERSION}
         if arm.method == goal_texts.TEXTS:
             return config | {"reward_model": goal_texts.reward_version()}
         if arm.method in policies.METHODS:

@@ -34,7 +34,7 @@ LANGUAGE, LANGUAGE_DONE, LANGUAGE_DONE_AT_ONCE = "language", "language_done", "l
 PPO_SPEED = "ppo_speed"
 
 STACK = "blocks.yellow-on-top-of-green"
-PPO_SEEDS, SPEED_RUNS = 5, 9
+PPO_SEEDS, SPEED_RUNS = 5, 5
 _LABEL_STEPS = 4000
 """Twice the default: with tags of two or three skills, a fit may confuse two of four for 1 500 steps."""
 
