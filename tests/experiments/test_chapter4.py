@@ -40,9 +40,11 @@ from freerein.errors import FailedPrecondition
 from freerein.field_bounds import bounds_of, check_json_bytes
 from freerein.learning.actor_critic.policy_files import IN_DISTRIBUTION_FILE, load_policy
 from freerein.learning.actor_critic.shared_object_encoder import FOLDER, load_object_encoder, save_object_encoder
+from freerein.learning.augmentation import resized_crops
 from freerein.model_store import CLONE_MODELS, ModelStore
 from freerein.types.common import ActionSpec, ModelRef, Trajectory
 from freerein_imitation.methods.language.config import LanguageConfig
+from freerein_imitation.methods.language.goal_text_dataset import random_shift
 from freerein_imitation.methods.language.texts import tagged_texts
 from freerein_imitation.model.known_texts import KnownTexts
 from freerein_orchestrator.kinds import KINDS
@@ -132,6 +134,12 @@ def test_a_scan_of_all_that_was_learned_from_finds_a_colour_that_is_shown_or_nam
         with pytest.raises(FailedPrecondition, match="1 texts"):
             check_unseen(tmp_path / "test", folder)
         shutil.rmtree(tmp_path / "test", ignore_errors=True)
+
+
+def test_no_crop_or_shift_of_what_is_learned_from_is_blue() -> None:
+    frames = torch.from_numpy(np.stack([shown(task) for task in TASKS] * 10))
+    drawn = torch.Generator().manual_seed(0)
+    assert blue_pixels(resized_crops(random_shift(frames, most=0.25, generator=drawn), generator=drawn).numpy()) == 0
 
 
 def test_an_eye_without_the_colour_is_fitted_to_images_without_it_and_leaves_the_students_own_as_it_is(
