@@ -1,6 +1,7 @@
 """The method `criterion_captions`: captions of keypoints, keypoints by phrase, and fits to scenes of three cameras."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -294,6 +295,16 @@ def test_a_mirrored_moment_has_the_mirrored_captions_and_only_one_view_is_mirror
     assert np.array_equal(there[..., left], back[..., right])
     others = [each for each in range(len(STATEMENTS)) if STATEMENTS[each][1] not in ("left_of", "right_of")]
     assert np.array_equal(there[..., others], back[..., others])
+
+
+def test_a_fit_that_is_stopped_goes_on_to_the_same_bits(learner: CriterionLearner, tmp_path: Path) -> None:
+    short = replace(learner, config=replace(CONFIG, steps=4, warmup_steps=1, evaluate_every=4, checkpoint_every=2))
+    asked = iter([False, False, False, True])
+    assert fit(short, tmp_path / "parts", stop=lambda: next(asked)) is None
+    parts, whole = (fit(short, tmp_path / name) for name in ("parts", "whole"))
+    assert parts is not None
+    assert whole is not None
+    assert weights.sha256(parts.network) == weights.sha256(whole.network)
 
 
 def test_a_fit_to_three_cameras_learns_the_criteria_of_each(model: CriterionModel, learner: CriterionLearner) -> None:
