@@ -8,6 +8,7 @@ import gc
 import os
 import runpy
 import sys
+from contextlib import suppress
 from typing import NoReturn
 
 
@@ -29,9 +30,13 @@ def loaded() -> None:
 
 
 def end(code: int) -> NoReturn:
-    """Ends the process at once: to free all that was loaded takes half a second, and a thread may hang."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    """Ends the process at once: to free all that was loaded takes half a second, and a thread may hang.
+
+    What a full disk does not take is lost; the exit code is not.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):
+            stream.flush()
     os._exit(code)
 
 
