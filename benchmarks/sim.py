@@ -25,7 +25,7 @@ from freerein_sim.workers.vector_env import VectorEnv
 from freerein_sim.worlds.tasks import tasks
 from freerein_sim.worlds.world import TaskDefinition
 
-_TASKS = ("grid", "blocks")
+_TASKS = ("grid", "blocks", "doom", "office", "rope")
 _ENVS = 16
 _SEED = 0
 _DRAWN_ACTIONS = 256

@@ -123,10 +123,10 @@ EXPLORATION = Exploration(
     ),
 )
 
-_A = Measured("a", "completion", statistic="median", least=63.0, ceiling=95.0, dissertation=78.2)
+_A = Measured("a", "completion", statistic="median", claim="doom_gsp", least=63.0, ceiling=95.0, dissertation=78.2)
 _V1 = Measured("v1", "completion", statistic="median", ceiling=95.0)
-_V2 = Measured("v2", "completion", statistic="median", least=35.0, ceiling=95.0, dissertation=49.4)
-_B = Measured("b", "completion", statistic="median", least=32.0, ceiling=95.0, dissertation=47.1)
+_V2 = Measured("v2", "completion", statistic="median", claim="doom_gsp_v2", least=35.0, ceiling=95.0, dissertation=49.4)
+_B = Measured("b", "completion", statistic="median", claim="doom_gsp_b", least=32.0, ceiling=95.0, dissertation=47.1)
 
 EXPERIMENT = Followers(
     EXPLORATION,

@@ -82,7 +82,7 @@ EXPLORATION = Exploration(
     counts_knots=True,
 )
 
-_KNOTS = Measured("knot", "success", least=45.0, ceiling=90.0, dissertation=60.0)
+_KNOTS = Measured("knot", "success", claim="rope_gsp", least=45.0, ceiling=90.0, dissertation=60.0)
 _S = Measured("s", "tps-rpm", unit=1000)
 
 EXPERIMENT = Followers(

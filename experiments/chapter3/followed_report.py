@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from experiments.chapter3 import fits, resampled
-from experiments.chapter3.exploration import CEILINGS, Exploration
+from experiments.chapter3.exploration import CEILINGS, EXPERT, RANDOM_SEARCH, Exploration
 from experiments.chapter3.followed_rows import STATISTICS, Row, reached, rows_of, sections
 from experiments.robustness.evaluated import FLAG_AUROC, FLAG_ECE
 from experiments.workbench import claims
@@ -32,7 +32,8 @@ class Measured:
         figure: Its name.
         unit: Factor of its values.
         statistic: Of its trials: `mean` or `median`.
-        least: What the claimed row needs; None where nothing is claimed of it.
+        claim: Name of the claim of the claimed row; empty where nothing is claimed of it.
+        least: What the claimed row needs.
         ceiling: What ceilings need; None where they need nothing.
         dissertation: The dissertation's value of the claimed row.
     """
@@ -41,6 +42,7 @@ class Measured:
     figure: str
     unit: float = 100
     statistic: Literal["mean", "median"] = "mean"
+    claim: str = ""
     least: float | None = None
     ceiling: float | None = None
     dissertation: float | None = None
@@ -131,9 +133,9 @@ def _gained(made: Sequence[Claim], report: Report) -> Iterator[Section]:
 
 def _claims(rows: Sequence[Row], report: Report) -> Iterator[Claim]:
     """Yields what each row comes to, what rows gain on others, and how well the claimed one's flag tells landmarks."""
-    for row in rows:
-        yield from _values(row, report)
     by_name = {(row.method, row.data): row for row in rows}
+    for row in rows:
+        yield from _values(row, report, by_name.get((RANDOM_SEARCH, "")), by_name.get((EXPERT, "")))
     for claimed in [row for row in rows if row.is_claimed]:
         yield from _flags(claimed, report.flags)
     for gain in report.gains:
@@ -142,7 +144,8 @@ def _claims(rows: Sequence[Row], report: Report) -> Iterator[Claim]:
             yield from _gain(gain, own, other)
 
 
-def _values(row: Row, report: Report) -> Iterator[Claim]:
+def _values(row: Row, report: Report, baseline: Row | None, ceiling: Row | None) -> Iterator[Claim]:
+    """Yields the figures of a row; those that are claims have the rows below and above them beside."""
     world, is_ceiling = row.exploration.world, row.method in CEILINGS
     for measured in report.measured:
         by_seed, statistic = row.episodes(measured.setting, measured.figure), STATISTICS[measured.statistic]
@@ -150,22 +153,33 @@ def _values(row: Row, report: Report) -> Iterator[Claim]:
             continue
         episodes = measured.unit * np.concatenate([*by_seed.values()])
         value, (low, high) = float(statistic(episodes)), resampled.interval(episodes, statistic)
-        is_claim = row.is_claimed and measured.least is not None
+        is_claim = row.is_claimed and bool(measured.claim)
         least = measured.least if is_claim else measured.ceiling if is_ceiling else None
         figure = measured.figure.replace(".", "_")
         is_enough = is_ceiling or (len(episodes) >= _SEEDS and row.scale == "full")
         yield Claim(
-            claim=f"{world}_gsp_{measured.setting}" if is_claim else f"{world}_{figure}_{row.name}_{measured.setting}",
+            claim=measured.claim if is_claim else f"{world}_{figure}_{row.name}_{measured.setting}",
             value=round(value, _DIGITS),
             low=round(low, _DIGITS),
             high=round(high, _DIGITS),
             trials=episodes[0].size,
+            baseline=_value(baseline, measured) if is_claim else None,
+            ceiling=_value(ceiling, measured) if is_claim else None,
             dissertation=measured.dissertation if is_claim else None,
             scale=row.scale,
             target=least,
             met=None if least is None else is_enough and value >= least,
             **_common(row.arms, len(episodes)),
         )
+
+
+def _value(row: Row | None, measured: Measured) -> float | None:
+    """Returns a figure of a row; None without it."""
+    by_seed = row.episodes(measured.setting, measured.figure) if row else {}
+    if not by_seed:
+        return None
+    value = STATISTICS[measured.statistic](measured.unit * np.concatenate([*by_seed.values()]))
+    return round(float(value), _DIGITS)
 
 
 def _gain(gain: Gain, row: Row, other: Row) -> Iterator[Claim]:

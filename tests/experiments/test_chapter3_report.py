@@ -15,6 +15,7 @@ from experiments.chapter3.exploration import (
     EXPLORING,
     FIT_OPTION,
     PILOT,
+    RANDOM_SEARCH,
     RATE_OPTION,
     SETTINGS_OPTION,
     TEST,
@@ -123,6 +124,16 @@ def test_data_and_updates_as_many_as_they_have_to_be_are_full_and_others_reduced
     short = claims_of(doom_table(explored("doom", 370_000), *fits))
     assert (short["doom_gsp_b"].scale, short["doom_gsp_b"].met) == ("reduced", False)
     assert claims_of(doom_table(*fits))["doom_gsp_b"].scale is None
+
+
+def test_a_claim_has_random_search_below_and_the_expert_above_it() -> None:
+    beside = [
+        result("doom", method, {SETTINGS_OPTION: CHOICE}, samples={"greedy.a.completion": sample([value] * 250)})
+        for method, value in ((RANDOM_SEARCH, 0.1), (EXPERT, 1.0))
+    ]
+    made = claims_of(doom_table(*beside, *fits_of("gsp_features", [0.7] * 3)))
+    assert (made["doom_gsp"].baseline, made["doom_gsp"].ceiling) == (10.0, 100.0)
+    assert (made["doom_gsp_b"].baseline, made["doom_gsp_b"].ceiling) == (None, None)
 
 
 @pytest.mark.parametrize(

@@ -304,13 +304,13 @@ def test_a_snapshot_of_another_task_build_or_number_is_refused(begin: MakeEnvs) 
     envs = begin()
     ours = snapshots.decode(envs.snapshot())
     foreign = [
-        begin(TASKS["grid-no-indicator"]).snapshot(),
-        begin(num_envs=2).snapshot(),
-        snapshots.encode(replace(ours, fingerprint="another build")),
+        (begin(TASKS["grid-no-indicator"]).snapshot(), "the task grid-no-indicator"),
+        (begin(num_envs=2).snapshot(), "2 environments"),
+        (snapshots.encode(replace(ours, fingerprint="another build")), "another build or other conditions"),
     ]
 
-    for snapshot in foreign:
-        with pytest.raises(FailedPrecondition, match="of this session's task, build and conditions"):
+    for snapshot, got in foreign:
+        with pytest.raises(FailedPrecondition, match=f"of this session's task, build and conditions.*got one of {got}"):
             envs.restore(snapshot)
 
 

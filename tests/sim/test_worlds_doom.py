@@ -32,8 +32,10 @@ from freerein_sim.workers.worker import Worker
 from freerein_sim.worlds.conformance import determinism
 from freerein_sim.worlds.conformance.rollouts import demonstrate
 from freerein_sim.worlds.doom import TASKS, maps, textmap, wad
+from freerein_sim.worlds.doom.floor import floor_between
 from freerein_sim.worlds.doom.spec import FORWARD, LEFT, NO_OP, RIGHT
 from freerein_sim.worlds.varied_world import build
+from freerein_sim.worlds.walkable_grid import Places, smoothed
 from freerein_sim.worlds.world import World, expert_of
 
 pytestmark = needs_engine
@@ -72,6 +74,10 @@ def act(world: World, *choices: int) -> np.ndarray[Any, np.dtype[np.float64]]:
     return moved
 
 
+def length(way: Places) -> float:
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+
+
 def test_actions_move_and_turn_as_the_engine_does(opened: World) -> None:
     opened.reset(np.random.default_rng(0), recipe=["path-1"])  # eastwards
 
@@ -108,13 +114,15 @@ def test_a_recipe_is_one_path(opened: World) -> None:
 
 
 def test_the_expert_walks_little_farther_than_it_must_and_keeps_off_the_vest(opened: World) -> None:
+    floor = floor_between(textmap.read_walls(maps.A.text()))
     for path in opened.spec.skills:
         shown = demonstrate(opened, [path], np.random.default_rng(3))
-        straight = np.linalg.norm(np.diff(shown.states[:, :2], axis=0), axis=1).sum()
+        walked = shown.states[:, :2]
+        shortest = smoothed(floor.way(walked[0], walked[-1]))
 
         assert shown.episode.success
         assert 60 <= len(shown.episode.actions) <= 180
-        assert 600 < straight < 1700
+        assert 600 < length(shortest) <= length(walked) <= 1.2 * length(shortest)
 
 
 def test_the_vest_ends_an_episode(opened: World) -> None:

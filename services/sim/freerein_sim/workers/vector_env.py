@@ -338,8 +338,10 @@ class VectorEnv:
 
     def _check_compatible(self, snapshot: snapshots.Snapshot, *, num_envs: int) -> None:
         """Checks that a snapshot can be restored, and has `num_envs` environments; 0 for any number."""
-        if snapshot.task != self.task.name or snapshot.fingerprint != self._worlds[0].fingerprint:
-            got = "of another task, build or conditions"
+        if snapshot.task != self.task.name:
+            got = f"of the task {snapshot.task}"
+        elif snapshot.fingerprint != self._worlds[0].fingerprint:
+            got = "of another build or other conditions"
         elif num_envs and len(snapshot.envs) != num_envs:
             got = f"of {len(snapshot.envs)} environments"
         else:
