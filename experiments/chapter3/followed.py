@@ -33,8 +33,7 @@ def samples(
                     yield from _figure(f"{acting}.{name}.{figure}", [each[figure] for each in episodes])
             if episodes and "confidence" in episodes[0]:
                 for quality, sample in flagged(episodes, "at_landmark"):
-                    if np.isfinite(sample.totals).all():  # else the robot was nowhere, or there always
-                        yield f"{acting}.{name}.{quality}", sample
+                    yield f"{acting}.{name}.{quality}", sample
 
 
 def chosen_acting(found: Mapping[str, Sample], choice: Choice) -> str:

@@ -11,12 +11,14 @@ Needs `pip install -c constraints.txt opencv-python-headless`.
 import json
 from collections.abc import Mapping
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from freerein.errors import FailedPrecondition
 from freerein.model_store import ModelStore
 from freerein.serving.health import Health
 from freerein.serving.learned import LearnedSettings
@@ -126,7 +128,16 @@ def _gray(frame: npt.NDArray[np.uint8]) -> Gray:
 
 
 def publish(world: str, data_dir: Path, *, model_name: str) -> None:
-    """Publishes the policy of a world in a data directory."""
+    """Publishes the policy of a world in a data directory.
+
+    Raises:
+        FailedPrecondition: OpenCV is not installed.
+    """
+    if find_spec("cv2") is None:
+        raise FailedPrecondition(
+            "The row `sift` needs OpenCV, which is not installed.",
+            hint="pip install -c constraints.txt opencv-python-headless",
+        )
     store, made = ModelStore(data_dir / "models" / NAME), data_dir / "made"
     made.mkdir(parents=True, exist_ok=True)
     (made / _CARD).write_text(json.dumps({_WORLD: world}))

@@ -23,10 +23,15 @@ def evaluate(form: str, name: str = "", **config: Any) -> Step:
 
 
 def flagged(trials: Sequence[Mapping[str, Any]], holds: str) -> Iterator[tuple[str, Sample]]:
-    """Yields figures of the confidence in each frame of trials, beside whether the goal held there, under a key."""
+    """Yields figures of the confidence in each frame of trials, beside whether the goal held there, under a key.
+
+    There are none where it held nowhere, or in every frame.
+    """
     trial = np.repeat(np.arange(len(trials)), [len(each["confidence"]) for each in trials])
     score = np.concatenate([np.array(each["confidence"], np.float64) for each in trials])
     right = np.concatenate([np.array(each[holds], np.bool_) for each in trials])
+    if not right.any() or right.all():
+        return
     yield FLAG_AUROC, confidence.auroc(score, right, trial)
     yield FLAG_ECE, confidence.calibration_error(score, right, trial)
     yield FLAG_RECALL, _recall(score, right, trial)

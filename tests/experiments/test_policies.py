@@ -55,6 +55,12 @@ def test_a_flag_that_is_never_precise_enough_has_no_recall() -> None:
     assert found[evaluated.FLAG_RECALL].mean == 0
 
 
+@pytest.mark.parametrize("always", [False, True])
+def test_a_flag_is_not_judged_where_the_goal_held_nowhere_or_always(always: bool) -> None:
+    trial = {"confidence": [0.9, 0.1], "at_landmark": [always, always]}
+    assert not dict(evaluated.flagged([trial], "at_landmark"))
+
+
 def test_a_recipe_is_whole_when_every_skill_is_completed() -> None:
     trials = [{"completed": [True, True]}, {"completed": [True, False]}]
     found = policies.METHODS[policies.SKILLS].samples({"recipes": trials})
