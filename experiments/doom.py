@@ -71,7 +71,7 @@ _DATA: Mapping[str, Sequence[Mapping[str, Any]]] = {
 """Parts of the data of each exploration, a dataset of its name."""
 
 _CURIOSITY = {
-    "reward": "curiosity",
+    "reward": "novelty",
     "encoder": "convolutional",
     "recurrent": True,
     "action_repeat": 1,
@@ -92,7 +92,7 @@ def _setting(task: str) -> Setting:
 
 EXPLORATION = Exploration(
     world=_TASK,
-    version=5,
+    version=6,
     collects=(
         step("curious", "ppo", task=_TASK, **_CURIOSITY),
         *(

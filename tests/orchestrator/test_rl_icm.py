@@ -17,6 +17,7 @@ from freerein.learning.actor_critic.networks import ActorCritic, ActorCriticSpec
 from freerein.learning.train_state import FitLoopState
 from freerein_orchestrator.kinds.collect.curiosity import trajectories
 from freerein_orchestrator.rewards.curiosity import CuriosityReward
+from freerein_orchestrator.rewards.novelty import NoveltyReward
 from freerein_orchestrator.rl.config import PPOConfig
 from freerein_orchestrator.rl.errors import Stopped
 from freerein_orchestrator.rl.icm import (
@@ -28,6 +29,7 @@ from freerein_orchestrator.rl.icm import (
     update_icm,
 )
 from freerein_orchestrator.rl.initial_network import network_spec
+from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.rollout import CollectorState, RolloutBuffer, collect
 from freerein_orchestrator.rl.state import MakeRewards, PPOState, from_checkpoint, init_state, to_checkpoint
 from freerein_orchestrator.rl.trainer import Trainer
@@ -194,9 +196,10 @@ def test_features_keep_what_actions_move_rather_than_what_flickers() -> None:
     assert sensitivity(image) > sensitivity(untrained)
 
 
-def test_curiosity_covers_more_than_random_actions_in_as_many_steps(tmp_path: Path) -> None:
+@pytest.mark.parametrize("reward", ["curiosity", "novelty"])
+def test_exploration_covers_more_than_random_actions_in_as_many_steps(tmp_path: Path, reward: str) -> None:
     envs = Corridor()
-    explore(tmp_path, envs)
+    explore(tmp_path, envs, make_rewards=REWARDS[reward])
     assert len(envs.visited) > 1.2 * len(visited_at_random(0))  # without the intrinsic reward, 1.0
 
 
@@ -209,19 +212,23 @@ def visited_at_random(seed: int) -> set[int]:
     return envs.visited
 
 
-def test_an_exploration_stopped_between_iterations_resumes_to_the_same_bits(tmp_path: Path) -> None:
-    short, left = replace(PPO, iterations=2), iter(range(8))
+@pytest.mark.parametrize("reward", ["curiosity", "novelty"])
+def test_an_exploration_stopped_between_iterations_resumes_to_the_same_bits(tmp_path: Path, reward: str) -> None:
+    short, left, make_rewards = replace(PPO, iterations=2), iter(range(8)), REWARDS[reward]
 
     def interrupt() -> None:
         if next(left, None) is None:
             raise Stopped
 
     with pytest.raises(Stopped):
-        explore(tmp_path / "stopped", Corridor(length=20), config=short, interrupt=interrupt)
+        explore(tmp_path / "stopped", Corridor(length=20), config=short, interrupt=interrupt, make_rewards=make_rewards)
     found = checkpoints.newest(tmp_path / "stopped" / "checkpoints", on_corrupt=lambda *_: pytest.fail("damaged"))
     assert found is not None
-    resumed = explore(tmp_path / "stopped", Corridor(length=20), config=short)
-    assert digest(resumed) == digest(explore(tmp_path / "undisturbed", Corridor(length=20), config=short))
+    resumed, undisturbed = (
+        explore(tmp_path / name, Corridor(length=20), config=short, make_rewards=make_rewards)
+        for name in ("stopped", "undisturbed")
+    )
+    assert digest(resumed) == digest(undisturbed)
     with pytest.raises(FailedPrecondition):
         from_checkpoint(found, resumed.config, device=CPU, make_rewards=curiosity(ICMConfig(batch_size=16)))
 
@@ -252,21 +259,35 @@ def curiosity(config: ICMConfig) -> MakeRewards:
     return lambda policy, _: (CuriosityReward(config, policy, transitions=PPO.rollout_size),)
 
 
-def corridor_state(envs: Corridor, config: PPOConfig = PPO) -> PPOState:
+def novelty(policy: ActorCritic, _: object) -> tuple[Reward, ...]:
+    return (NoveltyReward(0, policy, num_envs=PPO.num_envs, transitions=PPO.rollout_size),)
+
+
+REWARDS: dict[str, MakeRewards] = {"curiosity": curiosity(ICMConfig()), "novelty": novelty}
+
+
+def corridor_state(
+    envs: Corridor, config: PPOConfig = PPO, make_rewards: MakeRewards = REWARDS["curiosity"]
+) -> PPOState:
     spec = network_spec(config, observation=(4, CELLS, 1), action_choices=2)
-    state = init_state(config, spec, envs, device=CPU, make_rewards=curiosity(ICMConfig()))
+    state = init_state(config, spec, envs, device=CPU, make_rewards=make_rewards)
     envs.visited.clear()
     return state
 
 
 def explore(
-    folder: Path, envs: Corridor, *, config: PPOConfig = PPO, interrupt: Callable[[], None] = lambda: None
+    folder: Path,
+    envs: Corridor,
+    *,
+    make_rewards: MakeRewards,
+    config: PPOConfig = PPO,
+    interrupt: Callable[[], None] = lambda: None,
 ) -> PPOState:
     """Explores a corridor to the end, or resumes."""
     return Trainer(
         folder,
-        init=lambda: corridor_state(envs, config),
-        load=lambda found: from_checkpoint(found, config, device=CPU, make_rewards=curiosity(ICMConfig())),
+        init=lambda: corridor_state(envs, config, make_rewards),
+        load=lambda found: from_checkpoint(found, config, device=CPU, make_rewards=make_rewards),
         collector=lambda _: CorridorCollector(envs),
         metrics_log=lambda _: NoLog(),
         interrupt=interrupt,

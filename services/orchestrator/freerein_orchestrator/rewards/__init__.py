@@ -8,6 +8,7 @@ from freerein_orchestrator.rewards.constant import CONSTANT
 from freerein_orchestrator.rewards.curiosity import CURIOSITY
 from freerein_orchestrator.rewards.entry import RewardEntry, RewardSetting
 from freerein_orchestrator.rewards.learned import LEARNED
+from freerein_orchestrator.rewards.novelty import NOVELTY
 from freerein_orchestrator.rewards.oracle import ORACLE
 from freerein_orchestrator.rewards.rule import RULE
 from freerein_orchestrator.rewards.shaping import SHAPING
@@ -20,6 +21,7 @@ REWARDS: Mapping[str, RewardEntry] = {
     "base": BASE,
     "oracle": ORACLE,
     "curiosity": CURIOSITY,
+    "novelty": NOVELTY,
     "constant": CONSTANT,
     "shaping": SHAPING,
     "vice": VICE,

@@ -3,6 +3,7 @@
 from dataclasses import asdict
 from typing import cast
 
+import torch
 from torch import Tensor
 
 from freerein.errors import InvalidInput
@@ -10,7 +11,7 @@ from freerein.learning import train_state
 from freerein.learning.actor_critic.networks import ActorCritic
 from freerein.learning.checkpoints import JSON, Checkpoint
 from freerein_orchestrator.rewards.entry import RewardEntry
-from freerein_orchestrator.rl.icm import ICMConfig, Transitions, init_icm, intrinsic_rewards, update_icm
+from freerein_orchestrator.rl.icm import FORWARD_BATCH, ICMConfig, Transitions, init_icm, intrinsic_rewards, update_icm
 from freerein_orchestrator.rl.reward import Reward
 from freerein_orchestrator.rl.rollout import RolloutBuffer
 
@@ -42,6 +43,12 @@ class CuriosityReward(Reward):
         rewards = intrinsic_rewards(self.learner.state.network, Transitions.of(rollout), scale=self._config.scale)
         self._mean_reward = rewards.mean().item()
         return rewards.view(rollout.dones.shape)
+
+    def features(self, frames: Tensor) -> Tensor:
+        """Returns the features of frames (M, H, W, C), float32 (M, D), on the CPU."""
+        network = self.learner.state.network
+        device = next(network.parameters()).device
+        return torch.cat([network.image(each.to(device)).cpu() for each in torch.split(frames, FORWARD_BATCH)])
 
     def update(self, rollout: RolloutBuffer) -> dict[str, float]:
         """Trains the module on a rollout; returns its losses and the rollout's mean reward."""

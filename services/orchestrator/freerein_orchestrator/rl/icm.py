@@ -27,7 +27,8 @@ from freerein.learning.train_state import BatchSampler, FitLoopState, TrainState
 from freerein_orchestrator.rl.errors import IterationRejected
 from freerein_orchestrator.rl.rollout import RolloutBuffer
 
-_FORWARD_BATCH = 1024
+FORWARD_BATCH = 1024
+"""Frames that are encoded at once where nothing is learned."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ def init_icm(config: ICMConfig, spec: ActorCriticSpec, *, transitions: int, devi
 def intrinsic_rewards(network: ICM, transitions: Transitions, *, scale: float) -> Tensor:
     """Returns eta / 2 * |phi_hat(s') - phi(s')|^2 of each transition (eq. 6), float32 (M,), on the CPU."""
     device = next(network.parameters()).device
-    parts = zip(*(getattr(transitions, each.name).split(_FORWARD_BATCH) for each in fields(transitions)), strict=True)
+    parts = zip(*(getattr(transitions, each.name).split(FORWARD_BATCH) for each in fields(transitions)), strict=True)
     errors = [network(Transitions(*part).map(lambda tensor: tensor.to(device)))[1].cpu() for part in parts]
     return scale * torch.cat(errors)
 
