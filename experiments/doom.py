@@ -50,7 +50,7 @@ _LR = {RECOGNIZER: 2e-3, "inverse_model": 2e-3, "gsp_no_consistency": 2e-3}
 """To be set from the arms `pilot`, the rate of the lowest held-out loss of each, before anything else is trained."""
 
 _TASK = "doom"
-_TRAJECTORIES = (950, 800)
+_TRAJECTORIES = (850, 760)
 """Of up to 525 decisions: the vest ends one of eight that begin in random rooms, even of random exploration."""
 
 _EVERY, _STEPS_PER_LANDMARK = 10, 50
@@ -77,11 +77,12 @@ _CURIOSITY = {
     "action_repeat": 1,
     "episode_steps": 0,
     "gamma": 0.99,
-    "ent_coef": 0.01,
-    "iterations": 300,
+    "ent_coef": 0.04,
+    "iterations": 200,
     "epochs": 4,
 }
-"""As noreward-rl has it where PPO has the key. It learns from 307 200 actions, which no fit sees."""
+"""As noreward-rl has it where PPO has the key, but for the reward, whose forward error taught to turn on the spot, and
+for the entropy's weight: with .01 nothing turned right. It learns from 204 800 actions, which no fit sees."""
 
 
 def _setting(task: str) -> Setting:

@@ -25,8 +25,9 @@ _TASK, _DATA = "office", "random"
 _COLLECTED = {"count": 4_400, "height": 48, "width": 48}
 """Trajectories end where the robot touches something, after 57 actions in the mean of 500: 240 000 in all."""
 
-_FIT = {"encoder": "convolutional", "steps": 7_200, "evaluate_every": 250}
-_LR = {RECOGNIZER: 2e-3, "inverse_model": 2e-3, "gsp_no_consistency": 2e-3}
+_FIT = {"encoder": "convolutional", "steps": 4_400, "evaluate_every": 250}
+"""Ten passes: an update sees 24 windows of 24 frames."""
+_LR = {RECOGNIZER: 6e-3, "inverse_model": 6e-3, "gsp_no_consistency": 6e-3}
 """To be set from the arms `pilot`, the rate of the lowest held-out loss of each, before anything else is trained."""
 
 _FLOORS = ({"policy": "random", "task": "office"}, {"policy": "random", "task": "office.2"})
@@ -66,6 +67,7 @@ EXPLORATION = Exploration(
     fit=_FIT,
     rows=_ROWS,
     lr=_LR,
+    rates=(6e-4, 2e-3, 6e-3, 2e-2),
     seeds={_DATA: {"gsp": 3, "gsp_no_consistency": 2, "gsp_no_previous_action": 2, "inverse_model": 2}},
     claimed=("gsp", _DATA),
     settings={

@@ -104,7 +104,7 @@ class Exploration:
     fit: Mapping[str, Any]
     rows: Mapping[str, Mapping[str, Any]]
     lr: Mapping[str, float]
-    rates: Sequence[float] = (6e-4, 2e-3, 6e-3)
+    rates: Sequence[float] = (2e-3, 6e-3, 2e-2)
     seeds: Mapping[str, Mapping[str, int]]
     claimed: tuple[str, str]
     settings: Mapping[str, Mapping[str, Setting]]
