@@ -49,6 +49,8 @@ _FIT = {"encoder": "convolutional", "steps": 7_000, "evaluate_every": 250}
 _LR = {RECOGNIZER: 2e-3, "inverse_model": 2e-3, "gsp_no_consistency": 2e-3}
 """To be set from the arms `pilot`, the rate of the lowest held-out loss of each, before anything else is trained."""
 
+_RATES = (2e-3, 6e-3, 2e-2)
+
 _TASK = "doom"
 _TRAJECTORIES = (850, 760)
 """Of up to 525 decisions: the vest ends one of eight that begin in random rooms, even of random exploration."""
@@ -106,6 +108,7 @@ EXPLORATION = Exploration(
     fit=_FIT,
     rows=_ROWS,
     lr=_LR,
+    rates=dict.fromkeys(_LR, _RATES),
     seeds={
         "curiosity": {"gsp_features": 4, "gsp_no_consistency": 4, **dict.fromkeys(_SIDE_ROWS, 1)},
         "random": {"gsp_features": 3, "gsp_no_consistency": 1},

@@ -27,8 +27,10 @@ _COLLECTED = {"count": 4_400, "height": 48, "width": 48}
 
 _FIT = {"encoder": "convolutional", "steps": 4_400, "evaluate_every": 250}
 """Ten passes: an update sees 24 windows of 24 frames."""
-_LR = {RECOGNIZER: 6e-3, "inverse_model": 6e-3, "gsp_no_consistency": 6e-3}
-"""To be set from the arms `pilot`, the rate of the lowest held-out loss of each, before anything else is trained."""
+_LR = {RECOGNIZER: 6e-3, "inverse_model": 2e-2, "gsp_no_consistency": 6e-3}
+"""The rate of the lowest held-out loss of each among the arms `pilot`."""
+
+_RATES = (6e-4, 2e-3, 6e-3, 2e-2)
 
 _FLOORS = ({"policy": "random", "task": "office"}, {"policy": "random", "task": "office.2"})
 _GOALS = [f"goal-{number}" for number in range(1, 11)]
@@ -67,7 +69,7 @@ EXPLORATION = Exploration(
     fit=_FIT,
     rows=_ROWS,
     lr=_LR,
-    rates=(6e-4, 2e-3, 6e-3, 2e-2),
+    rates={**dict.fromkeys(_LR, _RATES), "inverse_model": (*_RATES, 6e-2)},
     seeds={_DATA: {"gsp": 3, "gsp_no_consistency": 2, "gsp_no_previous_action": 2, "inverse_model": 2}},
     claimed=("gsp", _DATA),
     settings={

@@ -28,6 +28,8 @@ _STEPS = {"encoder": "convolutional", "steps": 6_500, "evaluate_every": 250}
 _LR = {RECOGNIZER: 2e-3, "inverse_model": 2e-3, "gsp": 2e-3}
 """To be set from the arms `pilot`, the rate of the lowest held-out loss of each, before anything else is trained."""
 
+_RATES = (2e-3, 6e-3, 2e-2)
+
 _ONE_ACTION = {"min_goal_steps": 1, "max_goal_steps": 1}
 _START = ["start-from-left"]
 _EPISODES = 10
@@ -67,6 +69,7 @@ EXPLORATION = Exploration(
     fit={**_STEPS, **_ONE_ACTION, "head": "autoregressive"},
     rows=_ROWS,
     lr=_LR,
+    rates=dict.fromkeys(_LR, _RATES),
     seeds={_DATA: {"gsp": 3, "gsp_regularised": 2, "inverse_model": 2}},
     claimed=("gsp", _DATA),
     settings={

@@ -84,7 +84,7 @@ class Exploration:
         rows: What each row's fit has beside that.
         lr: Learning rate by fit, of the recognizer and of rows, that a pilot chose; rows that are not among them have
             the last one.
-        rates: Learning rates that the pilot tries.
+        rates: Learning rates that the pilot tries, by fit.
         seeds: Number of fits of each row to the data of each exploration.
         claimed: Row and data that claims rest on, and whose policy has the ceiling of true switching.
         settings: By kind and name.
@@ -104,7 +104,7 @@ class Exploration:
     fit: Mapping[str, Any]
     rows: Mapping[str, Mapping[str, Any]]
     lr: Mapping[str, float]
-    rates: Sequence[float] = (2e-3, 6e-3, 2e-2)
+    rates: Mapping[str, Sequence[float]]
     seeds: Mapping[str, Mapping[str, int]]
     claimed: tuple[str, str]
     settings: Mapping[str, Mapping[str, Setting]]
@@ -125,8 +125,8 @@ class Exploration:
         explored = [Arm(self.world, EXPLORING, {DATA_OPTION: data}) for data in self.seeds]
         pilots = [
             Arm(self.world, PILOT, {FIT_OPTION: fit, RATE_OPTION: f"{rate:g}"})
-            for fit in self.lr
-            for rate in self.rates
+            for fit, rates in self.rates.items()
+            for rate in rates
         ]
         followers = [
             Arm(self.world, row, {**({DATA_OPTION: data} if data else {}), SETTINGS_OPTION: settings}, seed)

@@ -79,7 +79,7 @@ def best_rate(results: Sequence[ArmResult], fit: str) -> float:
 
 def sections(exploration: Exploration, results: Sequence[ArmResult]) -> Iterator[Section]:
     """Yields held-out losses by learning rate in the pilot, and of each fit beside that of a constant guess."""
-    rates = [f"{rate:g}" for rate in exploration.rates]
+    rates = [f"{rate:g}" for rate in sorted({rate for each in exploration.rates.values() for rate in each})]
     pilots = [(fit, {each.options[RATE_OPTION]: each for each in _pilots(results, fit)}) for fit in exploration.lr]
     tried = [
         (

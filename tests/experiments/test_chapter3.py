@@ -146,9 +146,10 @@ def test_learning_rates_are_those_that_the_pilot_chose(exploration: Exploration)
     stored = [each for each in load_all(Path("experiments/results") / exploration.world) if each.method == PILOT]
     tried = [each for each in stored if each.name in current and is_current(experiment, current[each.name], each)]
     for fit, rate in exploration.lr.items():
-        if sum(each.options[FIT_OPTION] == fit for each in tried) == len(exploration.rates):
+        rates = exploration.rates[fit]
+        if sum(each.options[FIT_OPTION] == fit for each in tried) == len(rates):
             assert rate == fits.best_rate(tried, fit)
-            assert min(exploration.rates) < rate < max(exploration.rates)
+            assert min(rates) < rate < max(rates)
 
 
 @each_world

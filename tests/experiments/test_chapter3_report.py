@@ -204,14 +204,14 @@ def test_the_worst_flag_is_that_of_all_three_worlds_once_each_has_one() -> None:
 
 
 def test_the_best_rate_has_the_lowest_held_out_loss_and_is_shown_beside_the_others() -> None:
-    losses = {"0.0006": 0.9, "0.002": 0.7, "0.006": 0.8}
+    losses = {"0.002": 0.9, "0.006": 0.7, "0.02": 0.8}
     tried = [
         result(
             "doom", PILOT, {FIT_OPTION: "inverse_model", RATE_OPTION: rate}, figures={"policy.validation_loss": loss}
         )
         for rate, loss in losses.items()
     ]
-    assert best_rate(tried, "inverse_model") == 2e-3
-    chosen = replace(doom.EXPLORATION, lr={**doom.EXPLORATION.lr, "inverse_model": 6e-3})
+    assert best_rate(tried, "inverse_model") == 6e-3
+    chosen = replace(doom.EXPLORATION, lr={**doom.EXPLORATION.lr, "inverse_model": 2e-2})
     made = followed_report.table(chosen, tried, report=doom.EXPERIMENT.report)
-    assert "| inverse_model | 0.006 | 0.9000 | 0.7000 | 0.8000 |" in markdown(made)
+    assert "| inverse_model | 0.02 | 0.9000 | 0.7000 | 0.8000 |" in markdown(made)
