@@ -51,8 +51,11 @@ def _again(
             is_same &= chosen is not None and np.array_equal(chosen.action, action)
             if chosen is None:
                 break
-            world.step(chosen.action)
+            result = world.step(chosen.action)
             states.append(world.truth().state)
+            is_same &= not result.diverged
+            if result.terminated:
+                break
         if is_same:
             return np.array(states)
     raise FailedPrecondition("A trajectory must be made again as it was recorded; its actions are others.")
