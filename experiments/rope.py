@@ -28,7 +28,7 @@ _STEPS = {"encoder": "convolutional", "steps": 6_500, "evaluate_every": 250}
 _LR = {RECOGNIZER: 2e-3, "inverse_model": 2e-3, "gsp": 2e-3}
 """To be set from the arms `pilot`, the rate of the lowest held-out loss of each, before anything else is trained."""
 
-_RATES = (2e-3, 6e-3, 2e-2)
+_RATES = (6e-4, 2e-3, 6e-3, 2e-2)
 
 _ONE_ACTION = {"min_goal_steps": 1, "max_goal_steps": 1}
 _START = ["start-from-left"]

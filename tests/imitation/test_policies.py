@@ -143,7 +143,7 @@ def cloned_case(spec: SkillCloningSpec) -> Case:
 CASES = {
     "goals": goal_case(GOALS),
     "goals-discrete": goal_case(replace(GOALS, **DISCRETE)),
-    "goals-two-cameras": goal_case(replace(GOALS, **TWO, encoder="convolutional")),
+    "goals-two-cameras": goal_case(replace(GOALS, **TWO, encoder="convolutional", fusion="early")),
     "goal-cloning": goal_cloning_case(GOAL_CLONING),
     "goal-cloning-discrete": goal_cloning_case(replace(GOAL_CLONING, **DISCRETE)),
     "skills": skills_case(SKILLS),

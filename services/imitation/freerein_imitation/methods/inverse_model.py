@@ -6,7 +6,6 @@ place of x_{t+1}. It has no recurrence, no previous action and no forward consis
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -46,13 +45,12 @@ class InverseModel(ActionNetwork):
 
     def __init__(self, spec: GoalImagesSpec) -> None:
         super().__init__(spec)
-        self.hidden = nn.Linear(2 * self.encoder.size, spec.hidden_size)
+        self.hidden = nn.Linear(self.seen_size, spec.hidden_size)
         self.action_head = spec.make_head(spec.hidden_size)
 
     def forward(self, codes: Tensor, goals: Tensor) -> Tensor:
         """Returns contexts, float32 (..., C), for codes of observations and goals, float32 (..., code size) each."""
-        features = torch.cat([each[..., : self.encoder.size] for each in (codes, goals)], dim=-1)
-        return self.context(functional.relu(self.hidden(features)), codes, goals)
+        return self.context(functional.relu(self.hidden(self.seen(codes, goals))), codes, goals)
 
     def step(self, codes: Tensor, goals: Tensor, _previous: Tensor, recurrent: Tensor) -> tuple[Tensor, Tensor]:
         """Returns contexts, and the empty recurrent states; see `ActionNetwork.step`."""

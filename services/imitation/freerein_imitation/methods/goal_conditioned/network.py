@@ -56,7 +56,7 @@ class SkillPolicyNetwork(ActionNetwork):
     def __init__(self, spec: GoalConditionedSpec) -> None:
         super().__init__(spec)
         self.spec = spec
-        self.input_layer = nn.Linear(2 * self.encoder.size + spec.encoded_action_size, spec.hidden_size)
+        self.input_layer = nn.Linear(self.seen_size + spec.encoded_action_size, spec.hidden_size)
         self.lstm = nn.LSTM(spec.hidden_size, spec.hidden_size, batch_first=True) if spec.recurrent else None
         hidden = 2 * spec.hidden_size if spec.recurrent else spec.hidden_size
         self.recurrent_size = hidden if spec.recurrent else 0
@@ -75,8 +75,8 @@ class SkillPolicyNetwork(ActionNetwork):
             state: LSTM state before the first timestep; None at the start of a goal.
         """
         ahead = goals[:, None].expand_as(codes)
-        features = [each[:, :, : self.encoder.size] for each in (codes, ahead)]
-        hidden = functional.relu(self.input_layer(torch.cat([*features, self._previous(previous)], dim=2)))
+        inputs = torch.cat([self.seen(codes, ahead), self._previous(previous)], dim=2)
+        hidden = functional.relu(self.input_layer(inputs))
         if self.lstm is None:
             return self.context(hidden, codes, ahead), None
         recurrent, state = self.lstm(hidden, state)  # (B, T, hidden_size)

@@ -1,6 +1,7 @@
 """Configuration of fits to goal images."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from freerein.config import bounded, one_of
 from freerein.errors import InvalidInput
@@ -26,6 +27,8 @@ class GoalImagesConfig(DatasetFitConfig):
         head: Action head: `categorical` for choices; `bins` for numbers; for pick and place `autoregressive` or `map`,
             too; `auto` for the first of these that fits.
         temperature: Divisor of logits before actions are drawn; 0 for the likeliest actions.
+        fusion: Whether the policy sees the features of observation and goal alone, `late`, or those of both images
+            together, too, `early`: it learns sooner to act for the goal, where cameras move.
         recognizer: Model of the method `goal_recognizer` whose goal recognizer is copied; empty to train one, too.
         recognizer_version: Its version; empty for the active one.
 
@@ -47,6 +50,7 @@ class GoalImagesConfig(DatasetFitConfig):
     evaluate_every: int = bounded(50, least=1, most=1_000_000)
     head: str = one_of((AUTO, *HEADS), AUTO)
     temperature: float = bounded(0.0, least=0.0, most=100.0)
+    fusion: Literal["late", "early"] = "late"
     recognizer: str = ""
     recognizer_version: str = ""
 

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
@@ -12,6 +13,7 @@ from freerein.learning.image_statistics import statistics_sizes
 from freerein.learning.in_distribution import InDistribution
 from freerein.learning.inputs import InputSpec
 from freerein_imitation.methods.shared.action_heads import AUTO, HEADS, ActionHead, head_of
+from freerein_imitation.methods.shared.goal_images.pair_encoder import PairEncoder
 from freerein_imitation.methods.shared.goal_images.recognizer import (
     GoalRecognizer,
     check_embedding_size,
@@ -32,6 +34,8 @@ class GoalImagesSpec(InputSpec):
         recognizer_encoder: Image encoder of the recognizer; empty for `encoder`.
         head: Action head; `auto` for `categorical` where actions are choices, else `bins`.
         temperature: Divisor of logits before actions are drawn; 0 for the likeliest actions.
+        fusion: Whether the policy sees the features of observation and goal alone, `late`, or those of both images
+            together, too, `early`.
 
     Raises:
         InvalidInput: Cameras, actions or `embedding_size` are out of bounds; an encoder may need more features. Or the
@@ -45,6 +49,7 @@ class GoalImagesSpec(InputSpec):
     recognizer_encoder: str = one_of(("", *ENCODERS), "")
     head: str = one_of((AUTO, *HEADS), AUTO)
     temperature: float = bounded(0.0, least=0.0, most=100.0)
+    fusion: Literal["late", "early"] = "late"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -61,8 +66,10 @@ class ActionNetwork(nn.Module, ABC):
 
     Attributes:
         encoder: Encodes observations and goals.
+        pair_encoder: Encodes both together; None with late fusion.
         action_head: Turns contexts into actions.
         stop_head: Turns contexts into the logit that the goal is reached; None where a recognizer tells.
+        seen_size: Numbers of `seen`.
         recurrent_size: R, numbers of recurrent state.
     """
 
@@ -73,20 +80,37 @@ class ActionNetwork(nn.Module, ABC):
         super().__init__()
         self.stop_head: nn.Linear | None = None
         self.encoder = CameraEncoders(ENCODERS[spec.encoder], spec.cameras, features=spec.features)
+        self.pair_encoder = PairEncoder(spec.cameras, features=spec.features) if spec.fusion == "early" else None
+        self.seen_size = 2 * self.encoder.size + (0 if self.pair_encoder is None else self.pair_encoder.size)
 
     @property
     def code_size(self) -> int:
-        """Numbers of the code of a frame: D of its features, and what the head adds."""
-        return self.encoder.size + self.action_head.code_size
+        """Numbers of the code of a frame: D of its features, what the head adds, and what early fusion does."""
+        return self._before_pairs + (0 if self.pair_encoder is None else self.pair_encoder.code_size)
 
     def encode(self, frames: FrameTensors) -> Tensor:
         """Returns codes, float32 (N, code size), of frames uint8 (N, H, W, C) by camera."""
-        features: Tensor = self.encoder(frames)
-        return torch.cat([features, self.action_head.encode(frames)], dim=1) if self.action_head.code_size else features
+        parts = [self.encoder(frames)]
+        if self.action_head.code_size:
+            parts.append(self.action_head.encode(frames))
+        if self.pair_encoder is not None:
+            parts.append(self.pair_encoder.encode(frames))
+        return torch.cat(parts, dim=1)
+
+    def seen(self, codes: Tensor, goals: Tensor) -> Tensor:
+        """Returns what hidden layers see of observations and goals, (..., seen_size), of codes (..., code size)."""
+        parts = [each[..., : self.encoder.size] for each in (codes, goals)]
+        if self.pair_encoder is not None:
+            parts.append(self.pair_encoder(*(each[..., self._before_pairs :] for each in (codes, goals))))
+        return torch.cat(parts, dim=-1)
+
+    @property
+    def _before_pairs(self) -> int:
+        return self.encoder.size + self.action_head.code_size
 
     def context(self, hidden: Tensor, codes: Tensor, goals: Tensor) -> Tensor:
         """Returns the heads' inputs: hidden features (..., H), and the head's own part of codes (..., code size)."""
-        added = [each[..., self.encoder.size :] for each in (codes, goals)]
+        added = [each[..., self.encoder.size : self._before_pairs] for each in (codes, goals)]
         return torch.cat([hidden, *added], dim=-1) if self.action_head.code_size else hidden
 
     @abstractmethod
@@ -125,6 +149,8 @@ class GoalImagesNetwork(PolicyNetwork):
     def fit_normalisation(self, frames: FrameTensors, *, generator: torch.Generator) -> None:
         """Sets what is not trained of the encoders from training frames, uint8 (N, H, W, C) by camera."""
         self.policy.encoder.fit_normalisation(frames, generator=generator)
+        if self.policy.pair_encoder is not None:
+            self.policy.pair_encoder.fit_normalisation(frames)
         if self.recognizer is not None:
             self.recognizer.encoder.fit_normalisation(frames, generator=generator)
 
